@@ -1,0 +1,79 @@
+"""The ``greenough`` command: a root that collects its verbs from the installed packages."""
+
+import signal
+import sys
+import traceback
+from collections.abc import Iterable, Sequence
+from importlib.metadata import EntryPoint, entry_points
+from types import FrameType
+from typing import NoReturn
+
+import typer
+
+from .errors import InputError
+
+GROUP = "greenough.commands"
+
+
+def main() -> NoReturn:
+    """Run the command line of this process and exit: 0 done, 1 a row not as expected, 2 bad input, 130 interrupted."""
+    signal.signal(signal.SIGTERM, _terminate)
+    sys.exit(run(sys.argv[1:], entry_points(group=GROUP)))
+
+
+def run(arguments: Sequence[str], sources: Iterable[EntryPoint]) -> int:
+    """Run one command line with the verbs of ``sources`` and return its exit code.
+
+    A verb ends with ``typer.Exit(1)`` when a row is not as expected, and raises InputError for bad input. Any other
+    exception is a programming error and passes through.
+    """
+    root = collect(sources)
+    try:
+        typer.main.get_command(root)(list(arguments), prog_name="greenough")
+    except InputError as error:
+        print(f"greenough: {error}", file=sys.stderr)
+        return 2
+    except SystemExit as ending:
+        code = ending.code if isinstance(ending.code, int) else 0 if ending.code is None else 1
+        if code == 130:
+            print("greenough: interrupted; nothing half-written is left.", file=sys.stderr)
+        return code
+    return 0
+
+
+def collect(sources: Iterable[EntryPoint]) -> typer.Typer:
+    """A root app with the commands of every source at its top level.
+
+    A package that is not installed brings nothing. One that is installed and fails to import costs its own verbs
+    alone: what went wrong is printed to standard error.
+    """
+    root = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False)
+
+    @root.callback()
+    def greenough() -> None:
+        """Calibrate a fringe-projection profilometer, measure with it, and compare with what should be there."""
+
+    for source in sorted(sources, key=lambda source: source.name):
+        try:
+            root.add_typer(source.load())
+        except Exception as error:
+            if not _is_absent(source.module, error):
+                frames = [
+                    frame for frame in traceback.extract_tb(error.__traceback__) if "<frozen" not in frame.filename
+                ]
+                print(
+                    f"greenough: the verbs of {source.value} are missing: {type(error).__name__}: {error} "
+                    f"({frames[-1].filename}:{frames[-1].lineno})",
+                    file=sys.stderr,
+                )
+    return root
+
+
+def _is_absent(module: str, error: Exception) -> bool:
+    """Whether loading failed because a package above ``module`` does not exist."""
+    return isinstance(error, ModuleNotFoundError) and error.name is not None and module.startswith(f"{error.name}.")
+
+
+def _terminate(signal_number: int, frame: FrameType | None) -> NoReturn:
+    """End by an exception, so that open files are removed on the way out."""
+    raise SystemExit(128 + signal_number)

@@ -1,0 +1,287 @@
+"""Phase-height relation of every camera pixel (section 3.1 of the paper, eq. 11-19).
+
+Eq. 17 has seven coefficients and two exact null directions: an affine function of ``w = (m1 Φ + m0) / (n1 Φ + 1)``
+is again of that form, so ``r0`` and ``r1`` say nothing that ``m1, m0, n1`` do not say. Small changes of ``m1, m0, n1``
+move ``z`` along ``1, w, w²``; of the rest only ``w³`` is new, so ``r2`` is idle too. The gauge is therefore
+
+    z = w + r3 w³,   w = (m1 t + m0) / (n1 t + 1),   r0 = r1 = r2 = 0,
+
+with four coefficients that the data determine. ``t = (Φ - centre) / half_range`` runs from -1 to 1 over each pixel's
+own calibrated phases, which keeps eq. 19 free of the bias and the bad condition that it has on raw phases of 300 rad.
+"""
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from greenough.instrument.errors import InputError
+
+COEFFICIENTS = ("m1", "m0", "n1", "r3")
+MIN_PLANES = 2 * len(COEFFICIENTS)
+"""Planes a pixel must be valid in to be calibrated: two per coefficient."""
+
+FRINGE_ERROR_RAD = 1.0
+"""A plane that misses the fitted relation by more than this carries a wrong fringe order: phase noise is far below."""
+
+_BLOCK_PIXELS = 8192  # 30 planes of a block in float64 stay in the processor's cache
+_THREADS = 2
+_REFINEMENTS = 2
+
+
+@dataclass(frozen=True)
+class PhaseHeight:
+    """Relation between absolute phase and height for every camera pixel.
+
+    Parameters
+    ----------
+    coefficients : (rows, cols, 4) float32
+        ``m1`` (mm), ``m0`` (mm), ``n1`` (dimensionless) and ``r3`` (mm⁻²) of the normalised phase.
+    phase_centre, phase_half_range : (rows, cols) float32
+        In rad; they normalise the phase.
+    z_range : (rows, cols, 2) float32
+        Lowest and highest calibrated height of the pixel in mm; a pixel at the edge of the lit field sees only part
+        of the planes.
+    valid : (rows, cols) bool
+    """
+
+    coefficients: np.ndarray
+    phase_centre: np.ndarray
+    phase_half_range: np.ndarray
+    z_range: np.ndarray
+    valid: np.ndarray
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, cols) of the camera."""
+        rows, cols = self.valid.shape
+        return rows, cols
+
+    def height(self, phase: np.ndarray) -> np.ndarray:
+        """Height z by eq. 17 for a map of absolute phases.
+
+        Parameters
+        ----------
+        phase : (rows, cols)
+            Absolute phase in rad, NaN where unknown.
+
+        Returns
+        -------
+        (rows, cols) float64
+            In mm, extrapolated where the phase leads outside ``z_range``; NaN where the pixel is not calibrated.
+        """
+        t = (phase - self.phase_centre.astype(np.float64)) / self.phase_half_range
+        m1, m0, n1, r3 = np.moveaxis(self.coefficients.astype(np.float64), -1, 0)
+        w = (m1 * t + m0) / (n1 * t + 1)
+        return np.where(self.valid, w + r3 * w * w * w, np.nan)
+
+
+@dataclass(frozen=True)
+class PhaseHeightFit:
+    """A fitted relation and what the fit says about itself.
+
+    Parameters
+    ----------
+    relation : PhaseHeight
+    residual_um : (rows, cols) float32
+        RMS over the planes of fitted minus stated height; NaN where not calibrated.
+    plane_residual_um : (planes,) float64
+        Mean over the pixels of fitted minus stated height of each plane: what is common to all pixels is the stage's.
+    condition : float
+        Worst condition number of the fit's Jacobian, columns scaled to unit length, over a sample of the pixels.
+    """
+
+    relation: PhaseHeight
+    residual_um: np.ndarray
+    plane_residual_um: np.ndarray
+    condition: float
+
+
+def fit_phase_height(phases: np.ndarray, z_mm: np.ndarray) -> PhaseHeightFit:
+    """Fit the phase-height relation of every pixel to planes at known heights.
+
+    Eq. 19 on the normalised phase gives the start; Gauss-Newton steps on the height residuals of eq. 18 follow. Planes
+    in which a pixel is NaN are left out for that pixel. A pixel is calibrated if it is valid in at least
+    ``MIN_PLANES`` planes and no plane misses its relation by more than ``FRINGE_ERROR_RAD``.
+
+    Parameters
+    ----------
+    phases : (planes, rows, cols) float32 or float64
+        Absolute phase in rad, NaN where invalid. May be memory-mapped: it is read once, in blocks.
+    z_mm : (planes,)
+        Height of each plane.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than ``MIN_PLANES`` distinct heights, or no pixel can be calibrated.
+    """
+    z_mm = np.asarray(z_mm, dtype=np.float64)
+    planes, rows, cols = phases.shape
+    if z_mm.shape != (planes,):
+        raise ValueError(f"{planes} phase maps need {planes} heights, got an array of shape {z_mm.shape}")
+    if len(np.unique(z_mm)) < MIN_PLANES:
+        raise InputError(
+            f"the phase-height relation needs planes at {MIN_PLANES} or more different heights, "
+            f"got {len(np.unique(z_mm))}: raise procedure.planes in the rig file"
+        )
+    flat = phases.reshape(planes, rows * cols)
+    coefficients = np.full((rows * cols, len(COEFFICIENTS)), np.nan, dtype=np.float32)
+    centre = np.full(rows * cols, np.nan, dtype=np.float32)
+    half_range = np.full(rows * cols, np.nan, dtype=np.float32)
+    z_range = np.full((rows * cols, 2), np.nan, dtype=np.float32)
+    residual_um = np.full(rows * cols, np.nan, dtype=np.float32)
+
+    def fit(block: slice) -> tuple[np.ndarray, np.ndarray]:
+        with np.errstate(all="ignore"):  # a pixel whose fit diverges misses its planes and is left out below
+            fitted = _fit_block(flat[:, block], z_mm)
+        coefficients[block] = fitted.coefficients.T
+        centre[block], half_range[block] = fitted.centre, fitted.half_range
+        z_range[block] = fitted.z_range.T
+        residual_um[block] = 1e3 * fitted.rms
+        return fitted.residual_sum, fitted.residual_count
+
+    with ThreadPoolExecutor(_THREADS) as pool:
+        sums, counts = zip(*pool.map(fit, _blocks(rows * cols)), strict=True)
+    valid = np.isfinite(residual_um)
+    if not valid.any():
+        raise InputError(
+            f"no pixel has a valid phase in {MIN_PLANES} or more of the {planes} planes: "
+            "check that the board's blank side is lit by the projector and seen by the camera"
+        )
+    relation = PhaseHeight(
+        coefficients=coefficients.reshape(rows, cols, len(COEFFICIENTS)),
+        phase_centre=centre.reshape(rows, cols),
+        phase_half_range=half_range.reshape(rows, cols),
+        z_range=z_range.reshape(rows, cols, 2),
+        valid=valid.reshape(rows, cols),
+    )
+    count = np.sum(counts, axis=0)
+    plane_residual = np.divide(np.sum(sums, axis=0), count, out=np.full(planes, np.nan), where=count > 0)
+    sample = np.flatnonzero(valid)[:: max(1, valid.sum() // 2000)]
+    return PhaseHeightFit(
+        relation=relation,
+        residual_um=residual_um.reshape(rows, cols),
+        plane_residual_um=1e3 * plane_residual,
+        condition=_worst_condition(flat[:, sample], coefficients[sample], centre[sample], half_range[sample]),
+    )
+
+
+@dataclass(frozen=True)
+class _BlockFit:
+    """A block of pixels: the last axis of every array counts its pixels."""
+
+    coefficients: np.ndarray  # (4, pixels)
+    centre: np.ndarray
+    half_range: np.ndarray
+    z_range: np.ndarray  # (2, pixels)
+    rms: np.ndarray  # mm, NaN where not calibrated
+    residual_sum: np.ndarray  # (planes,) mm
+    residual_count: np.ndarray  # (planes,)
+
+
+def _blocks(pixels: int) -> Iterator[slice]:
+    return (slice(start, min(start + _BLOCK_PIXELS, pixels)) for start in range(0, pixels, _BLOCK_PIXELS))
+
+
+def _fit_block(phases: np.ndarray, z_mm: np.ndarray) -> _BlockFit:
+    phi = phases.astype(np.float64)  # (planes, pixels)
+    seen = np.isfinite(phi)
+    z = z_mm[:, None]
+    enough = seen.sum(axis=0) >= MIN_PLANES
+    low = np.where(seen, phi, np.inf).min(axis=0)
+    high = np.where(seen, phi, -np.inf).max(axis=0)
+    usable = enough & (high > low)
+    # The stored numbers are float32: normalise with exactly what will be stored.
+    centre = np.where(usable, (low + high) / 2, 0.0).astype(np.float32)
+    half_range = np.where(usable, (high - low) / 2, 1.0).astype(np.float32)
+    weight = (seen & usable).astype(np.float64)
+    t = np.where(weight > 0, (phi - centre) / half_range, 0.0)
+
+    # Eq. 19: m1 t - n1 t z + m0 = z, least squares per pixel.
+    m1, m0, n1 = _least_squares([weight * t, weight, -t * z], weight * z)
+    r3 = np.zeros_like(m1)
+    for _ in range(_REFINEMENTS):
+        denominator = 1 / (n1 * t + 1)
+        w = (m1 * t + m0) * denominator
+        cube = w * w * w
+        slope = weight * (1 + 3 * r3 * w * w) * denominator  # dz/dw times dw/d(numerator)
+        jacobian = [slope * t, slope, -slope * t * w, weight * cube]
+        step = _least_squares(jacobian, weight * (z - w - r3 * cube))
+        m1, m0, n1, r3 = m1 + step[0], m0 + step[1], n1 + step[2], r3 + step[3]
+
+    w = (m1 * t + m0) / (n1 * t + 1)
+    residual = weight * (w + r3 * w * w * w - z)
+    z_low = np.where(weight > 0, z, np.inf).min(axis=0)
+    z_high = np.where(weight > 0, z, -np.inf).max(axis=0)
+    mm_per_rad = (z_high - z_low) / (2 * half_range)
+    good = usable & (np.abs(residual).max(axis=0) < FRINGE_ERROR_RAD * mm_per_rad)
+    rms = np.sqrt((residual**2).sum(axis=0) / np.maximum(weight.sum(axis=0), 1))
+
+    def kept(values: np.ndarray) -> np.ndarray:
+        return np.where(good, values, np.nan)
+
+    return _BlockFit(
+        coefficients=kept(np.stack([m1, m0, n1, r3])),
+        centre=kept(centre),
+        half_range=kept(half_range),
+        z_range=kept(np.stack([z_low, z_high])),
+        rms=kept(rms),
+        residual_sum=np.where(good, residual, 0.0).sum(axis=1),
+        residual_count=(weight * good).sum(axis=1),
+    )
+
+
+def _least_squares(columns: list[np.ndarray], target: np.ndarray) -> list[np.ndarray]:
+    """Least squares for every pixel at once by Cholesky's factors of the normal equations.
+
+    Parameters
+    ----------
+    columns : list of (planes, pixels)
+        Columns of the design matrix.
+    target : (planes, pixels)
+
+    Returns
+    -------
+    list of (pixels,)
+        One array per column; zero where a pixel's equations are singular.
+    """
+    n = len(columns)
+    # Columns scaled to unit length: the pivots below are then the share of each column that the earlier ones lack.
+    scale = [np.sqrt(np.einsum("kp,kp->p", c, c)) for c in columns]
+    regular = np.ones(target.shape[1], dtype=bool)
+    for s in scale:
+        regular &= s > 0
+        s[s == 0] = 1.0
+    lower: list[list[np.ndarray]] = []
+    half_solved: list[np.ndarray] = []
+    for i in range(n):
+        row: list[np.ndarray] = []
+        for j in range(i):
+            dot = np.einsum("kp,kp->p", columns[i], columns[j]) / (scale[i] * scale[j])
+            row.append((dot - sum((row[k] * lower[j][k] for k in range(j)), start=0.0)) / lower[j][j])
+        pivot = 1.0 - sum((r * r for r in row), start=np.zeros_like(scale[i]))
+        regular &= pivot > 1e-10
+        row.append(np.sqrt(np.where(pivot > 1e-10, pivot, 1.0)))
+        lower.append(row)
+        right = np.einsum("kp,kp->p", columns[i], target) / scale[i]
+        half_solved.append((right - sum((row[k] * half_solved[k] for k in range(i)), start=0.0)) / row[i])
+    solution: list[np.ndarray] = [np.empty(0)] * n
+    for i in reversed(range(n)):
+        above = sum((lower[k][i] * solution[k] for k in range(i + 1, n)), start=0.0)
+        solution[i] = (half_solved[i] - above) / lower[i][i]
+    return [np.where(regular, x / s, 0.0) for x, s in zip(solution, scale, strict=True)]
+
+
+def _worst_condition(phases: np.ndarray, coefficients: np.ndarray, centre: np.ndarray, half_range: np.ndarray) -> float:
+    """Largest condition number of the scaled Jacobian over pixels: (planes, n), (n, 4), (n,), (n,)."""
+    phi = phases.astype(np.float64)
+    seen = np.isfinite(phi)
+    t = np.where(seen, (phi - centre) / half_range, 0.0)
+    m1, m0, n1, r3 = coefficients.T.astype(np.float64)
+    denominator = 1 / (n1 * t + 1)
+    w = (m1 * t + m0) * denominator
+    slope = (1 + 3 * r3 * w**2) * denominator
+    jacobian = np.stack([slope * t, slope, -slope * t * w, w**3], axis=-1) * seen[..., None]  # (planes, n, 4)
+    jacobian = np.moveaxis(jacobian, 1, 0)
+    return float(np.linalg.cond(jacobian / np.linalg.norm(jacobian, axis=1, keepdims=True)).max())

@@ -1,0 +1,247 @@
+"""The calibration board as it was printed: white ceramic spots in a dark ink, and its blank reverse side.
+
+Frame: the one of :class:`greenough.instrument.contract.SpotBoard`. z = 0 is the best plane of the ceramic through the
+spots, z points out of the face that is up; origin and x axis are those of the nominal spots best-fitted to the printed
+ones. The ink lies on the ceramic, so only the spots are at z = 0.
+
+The blank face is given in the frame of the board turned over about its y axis: z = 0 is parallel to the printed face,
+which now lies on the table, and the blank face slopes against it by the wedge.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from greenough.instrument.contract import SpotBoard
+from greenough.instrument.errors import InputError
+
+from .parts import Part, Specimen
+from .triangulation import grid_faces, grid_points
+
+_SPOT_SAGITTA_MM = 5e-5  # between a spot's circle and the sides of its polygon
+
+
+@dataclass(frozen=True)
+class BoardErrors:
+    """How well boards are made.
+
+    Parameters
+    ----------
+    print_sd_um : float
+        Standard deviation of each spot's position, per axis.
+    scale_ppm : float
+        Standard deviation of the print's scale.
+    bow_um : float
+        Standard deviation of the bow: height of the middle of the board over the middle of its sides.
+    wedge_urad : float
+        Standard deviation of the angle between the faces, per axis.
+    ink_thickness_um : float
+        Thickness of the ink; not drawn.
+    """
+
+    print_sd_um: float = 0.6
+    scale_ppm: float = 30.0
+    bow_um: float = 2.0
+    wedge_urad: float = 50.0
+    ink_thickness_um: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class PrintedBoard:
+    """One board as it was made.
+
+    Parameters
+    ----------
+    nominal : SpotBoard
+        The drawing.
+    centres : (rows * cols, 2) float64
+        Printed centres in mm, in the board's frame, in the drawing's order.
+    bow : float
+        Height in mm of the middle of the board over the middle of its sides, positive towards the printed side.
+    wedge : (2,) float64
+        Gradient (d/dx, d/dy) of the board's thickness, in the board's frame.
+    ink_thickness : float
+        In mm.
+    """
+
+    nominal: SpotBoard
+    centres: np.ndarray
+    bow: float
+    wedge: np.ndarray
+    ink_thickness: float
+
+
+def print_board(nominal: SpotBoard, errors: BoardErrors, rng: np.random.Generator) -> PrintedBoard:
+    """Make one board after the drawing ``nominal``, with errors drawn from ``rng``.
+
+    The numbers drawn do not depend on ``errors``: switching one error off leaves the others as they were. What the
+    spots' errors have in common with a shift or a rotation of the board is taken out, since the board's frame is
+    best-fitted to the printed spots.
+
+    Raises
+    ------
+    InputError
+        If the spots do not fit into their cells, or the cells not onto the board.
+    """
+    if nominal.size_mm < max(nominal.rows, nominal.cols) * nominal.pitch_mm:
+        raise InputError(
+            f"board.size_mm is {nominal.size_mm:g} mm, but {nominal.rows} x {nominal.cols} spots at a pitch of "
+            f"{nominal.pitch_mm:g} mm need at least {max(nominal.rows, nominal.cols) * nominal.pitch_mm:g} mm; "
+            "enlarge the board or reduce the pitch."
+        )
+    drawing = nominal.centres()
+    scale, bow, wedge_x, wedge_y = rng.standard_normal(4)
+    scatter = rng.standard_normal(drawing.shape)
+    scattered = drawing * (1 + scale * errors.scale_ppm * 1e-6) + scatter * errors.print_sd_um * 1e-3
+    centres = _best_fitted(scattered, drawing)
+
+    reach = np.linalg.norm(centres - drawing, axis=-1) + nominal.diameters() / 2
+    if reach.max() >= nominal.pitch_mm / 2:
+        raise InputError(
+            f"a spot of the board reaches {reach.max():g} mm from its nominal centre, which must stay below half the "
+            f"pitch, {nominal.pitch_mm / 2:g} mm; reduce the spots' diameters or the print errors."
+        )
+    return PrintedBoard(
+        nominal=nominal,
+        centres=centres,
+        bow=bow * errors.bow_um * 1e-3,
+        wedge=np.array([wedge_x, wedge_y]) * errors.wedge_urad * 1e-6,
+        ink_thickness=errors.ink_thickness_um * 1e-3,
+    )
+
+
+def board(printed: PrintedBoard, face: Literal["printed", "blank"]) -> Specimen:
+    """One face of a board, as a specimen in the frame that the module describes.
+
+    ``as_built`` of the printed face holds ``centres_mm`` (rows * cols, 3), the printed centres on the ceramic.
+    """
+    nominal = {
+        "pitch_mm": printed.nominal.pitch_mm,
+        "big_diameter_mm": printed.nominal.big_diameter_mm,
+        "small_diameter_mm": printed.nominal.small_diameter_mm,
+        "size_mm": printed.nominal.size_mm,
+    }
+    if face == "blank":
+        return Specimen("board-blank", (_blank_face(printed),), nominal)
+    centres = np.column_stack([printed.centres, ceramic_height(printed, printed.centres)])
+    return Specimen("board-printed", (_spots(printed), _ink(printed)), nominal, {"centres_mm": centres})
+
+
+def ceramic_height(printed: PrintedBoard, xy: np.ndarray) -> np.ndarray:
+    """Height (...) in mm of the ceramic's printed face at ``xy`` (..., 2) in the board's frame.
+
+    A paraboloid that falls by ``bow`` from the middle of the board to the middle of a side; its mean over the nominal
+    spots is taken out. The spots being symmetric, their best plane is then z = 0.
+    """
+    curvature = -printed.bow / (printed.nominal.size_mm / 2) ** 2
+    mean_square = np.mean(np.sum(printed.nominal.centres() ** 2, axis=-1))
+    return curvature * (np.sum(xy**2, axis=-1) - mean_square)
+
+
+def blank_height(printed: PrintedBoard, xy: np.ndarray) -> np.ndarray:
+    """Height (...) in mm of the blank face at ``xy`` (..., 2), both in the frame of the board turned over about y.
+
+    The bow of a bent plate is the opposite on its other side; x of the wedge is mirrored.
+    """
+    wedge = printed.wedge * [-1.0, 1.0]
+    return xy @ wedge - ceramic_height(printed, xy)
+
+
+def _best_fitted(points: np.ndarray, reference: np.ndarray) -> np.ndarray:
+    """``points`` (n, 2), shifted and rotated for the least squared distance to ``reference`` (n, 2)."""
+    p, r = points - points.mean(axis=0), reference - reference.mean(axis=0)
+    angle = np.arctan2(np.sum(p[:, 0] * r[:, 1] - p[:, 1] * r[:, 0]), np.sum(p * r))
+    c, s = np.cos(angle), np.sin(angle)
+    return p @ np.array([[c, s], [-s, c]]) + reference.mean(axis=0)
+
+
+def _spots(printed: PrintedBoard) -> Part:
+    """The ceramic discs, each a fan around its centre."""
+    circles = _circles(printed)
+    centres = np.broadcast_to(printed.centres[:, None], circles.shape)
+    fans = np.stack([centres, circles, np.roll(circles, -1, axis=1)], axis=2).reshape(-1, 3, 2)
+    return _draped(fans, lambda xy: ceramic_height(printed, xy), "ceramic")
+
+
+def _ink(printed: PrintedBoard) -> Part:
+    """The ink around the spots and its walls."""
+
+    def height(xy: np.ndarray) -> np.ndarray:
+        return ceramic_height(printed, xy) + printed.ink_thickness
+
+    circles = _circles(printed)
+    top = _draped(np.concatenate([_cells(printed, circles), _margin(printed)]), height, "ink")
+    if printed.ink_thickness == 0:
+        return top
+
+    # Walls stand on the circles and face the discs' centres.
+    xy = circles.reshape(-1, 2)
+    n = len(xy)
+    upper = np.column_stack([xy, height(xy)])
+    lower = np.column_stack([xy, ceramic_height(printed, xy)])
+    here = np.arange(n)
+    after = np.roll(here.reshape(circles.shape[:2]), -1, axis=1).ravel()
+    walls = np.concatenate([np.stack([here, here + n, after], -1), np.stack([after, here + n, after + n], -1)])
+    vertices = np.concatenate([top.vertices, upper, lower])
+    faces = np.concatenate([top.faces, walls.astype(np.int32) + np.int32(len(top.vertices))])
+    return Part(vertices, faces, None, "ink")
+
+
+def _circles(printed: PrintedBoard) -> np.ndarray:
+    """Points (spots, points, 2) on the spots' circles, as many on each, so that neighbouring cells fit together."""
+    radii = printed.nominal.diameters() / 2
+    # The polar angle of the point on the cell's border; a multiple of 8 puts points on its corners.
+    count = 8 * int(np.ceil(np.pi / np.sqrt(2 * _SPOT_SAGITTA_MM / radii.max()) / 8))
+    angle = 2 * np.pi * np.arange(count) / count
+    unit = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    return printed.centres[:, None] + radii[:, None, None] * unit
+
+
+def _cells(printed: PrintedBoard, circles: np.ndarray) -> np.ndarray:
+    """Triangles (m, 3, 2) between each spot's circle and the border of its cell, a square around the nominal centre."""
+    angle = 2 * np.pi * np.arange(circles.shape[1]) / circles.shape[1]
+    unit = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    square = unit / np.abs(unit).max(axis=-1, keepdims=True) * printed.nominal.pitch_mm / 2
+    borders = printed.nominal.centres()[:, None] + square
+    inner = np.stack([circles, borders, np.roll(circles, -1, axis=1)], axis=2)
+    outer = np.stack([np.roll(circles, -1, axis=1), borders, np.roll(borders, -1, axis=1)], axis=2)
+    return np.concatenate([inner.reshape(-1, 3, 2), outer.reshape(-1, 3, 2)])
+
+
+def _margin(printed: PrintedBoard) -> np.ndarray:
+    """Triangles (m, 3, 2) from the outermost cells to the edge of the board.
+
+    A grid through the border points of the cells, without its middle.
+    """
+    nominal = printed.nominal
+    count = _circles(printed).shape[1]
+    along = np.tan(2 * np.pi * np.arange(-count // 8, count // 8 + 1) / count) * nominal.pitch_mm / 2
+    lines = []
+    for spots in (nominal.cols, nominal.rows):
+        centres = (np.arange(spots) - (spots - 1) / 2) * nominal.pitch_mm
+        inside = np.concatenate([(centres[:, None] + along[:-1]).ravel(), [spots * nominal.pitch_mm / 2]])
+        layers = int(np.ceil((nominal.size_mm / 2 - inside[-1]) / nominal.pitch_mm))
+        outside = np.linspace(inside[-1], nominal.size_mm / 2, layers + 1)[1:]
+        lines.append((-outside[::-1], inside, outside))
+    x, y = (np.concatenate(line) for line in lines)
+    triangles = grid_points(x, y)[grid_faces(len(y), len(x))]
+    middle = np.abs(triangles.mean(axis=1)) < np.array([nominal.cols, nominal.rows]) * nominal.pitch_mm / 2
+    return triangles[~middle.all(axis=-1)]
+
+
+def _blank_face(printed: PrintedBoard) -> Part:
+    """The reverse side: ceramic, a grid of cells no larger than the pitch."""
+    nominal = printed.nominal
+    ticks = np.linspace(-0.5, 0.5, int(np.ceil(nominal.size_mm / nominal.pitch_mm)) + 1) * nominal.size_mm
+    xy = grid_points(ticks, ticks)
+    vertices = np.column_stack([xy, blank_height(printed, xy)])
+    return Part(vertices, grid_faces(len(ticks), len(ticks)), None, "ceramic")
+
+
+def _draped(triangles: np.ndarray, height: Callable[[np.ndarray], np.ndarray], material: str) -> Part:
+    """Triangles (m, 3, 2) laid over ``height``; corners that coincide become one vertex."""
+    # Neighbours compute a shared corner from different centres: equal but for rounding, far below this grid.
+    corners, faces = np.unique(np.round(triangles.reshape(-1, 2), 9), axis=0, return_inverse=True)
+    vertices = np.column_stack([corners, height(corners)])
+    return Part(vertices, faces.reshape(-1, 3).astype(np.int32), None, material)

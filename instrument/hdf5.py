@@ -1,0 +1,129 @@
+"""HDF5 files that say what they are: a kind, a version, units and a checksum on every dataset.
+
+Any change of a dataset's values, type, shape or units is noticed when it is read. A file that is damaged, truncated or
+foreign is refused with one sentence.
+"""
+
+import hashlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from .errors import InputError
+from .files import atomic_path
+
+# What h5py raises on a damaged file depends on which structure is hit.
+_UNREADABLE = (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError, IndexError, MemoryError)
+
+
+@contextmanager
+def create(path: str | Path, kind: str, version: int) -> Iterator[h5py.File]:
+    """A new file that takes its name once the body has ended without an exception.
+
+    Raises
+    ------
+    InputError
+        When nothing can be written at ``path``.
+    """
+    with atomic_path(path) as temporary, h5py.File(temporary, "w") as file:
+        file.attrs["kind"] = kind
+        file.attrs["version"] = version
+        yield file
+
+
+@contextmanager
+def read(path: str | Path, kind: str, version: int) -> Iterator[h5py.File]:
+    """An existing file of this kind and version, open for reading.
+
+    Raises
+    ------
+    InputError
+        When there is no such file, or it is damaged, truncated, of another kind or of a later version.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"there is no {kind} {path}.")
+    try:
+        file = h5py.File(path, "r")
+    except OSError as error:
+        reason = "is truncated or damaged" if _has_signature(path) else f"is not a {kind}: it is not HDF5"
+        if isinstance(error, PermissionError):
+            reason = "may not be read by you"
+        raise InputError(f"{path} {reason}.") from None
+    with file:
+        try:
+            found, found_version = file.attrs.get("kind"), file.attrs.get("version")
+        except _UNREADABLE:
+            raise InputError(f"{path} is damaged: its header cannot be read.") from None
+        if found != kind:
+            raise InputError(f"{path} is not a {kind}" + (f" but a {found}." if isinstance(found, str) else "."))
+        if found_version != version:
+            raise InputError(f"{path} is a {kind} of version {found_version}; this program reads version {version}.")
+        yield file
+
+
+def put(file: h5py.File, name: str, values: np.ndarray | str, units: str) -> None:
+    """Write one dataset with its units ("1" for numbers without) and checksum. Text is stored as UTF-8."""
+    if isinstance(values, str):
+        dataset = file.create_dataset(name, data=values, dtype=h5py.string_dtype())
+    else:
+        values = np.ascontiguousarray(values)
+        dataset = file.create_dataset(name, data=values)
+    dataset.attrs["units"] = units
+    dataset.attrs["sha256"] = _digest(values, units)
+
+
+def get(file: h5py.File, name: str) -> np.ndarray:
+    """Read an array written by ``put``.
+
+    Raises
+    ------
+    InputError
+        When it is missing or damaged.
+    """
+    return np.asarray(_verified(file, name))
+
+
+def get_text(file: h5py.File, name: str) -> str:
+    """Read text written by ``put``.
+
+    Raises
+    ------
+    InputError
+        When it is missing or damaged.
+    """
+    values = _verified(file, name)
+    if not isinstance(values, str):
+        raise InputError(f"{file.filename} is damaged: {name} should be text.")
+    return values
+
+
+def _verified(file: h5py.File, name: str) -> np.ndarray | str:
+    try:
+        dataset = file[name]
+        values = dataset[()]
+        values = values.decode() if isinstance(values, bytes) else np.ascontiguousarray(values)
+        intact = dataset.attrs["sha256"] == _digest(values, dataset.attrs["units"])
+    except _UNREADABLE:
+        raise InputError(f"{file.filename} is damaged: {name} is missing or cannot be read.") from None
+    if not intact:
+        raise InputError(f"{file.filename} is damaged: the checksum of {name} is wrong.")
+    return values
+
+
+def _digest(values: np.ndarray | str, units: str) -> str:
+    if isinstance(values, str):
+        digest = hashlib.sha256(f"text {units} ".encode())
+        digest.update(values.encode())
+    else:
+        digest = hashlib.sha256(f"{values.dtype.str} {values.shape} {units} ".encode())
+        digest.update(values.view(np.uint8).data if values.size else b"")
+    return digest.hexdigest()
+
+
+def _has_signature(path: Path) -> bool:
+    with open(path, "rb") as file:
+        return file.read(8) == b"\x89HDF\r\n\x1a\n"

@@ -1,0 +1,123 @@
+"""A rig small enough to reason about, and the rigs that the conformance suite runs over."""
+
+import hashlib
+from collections.abc import Callable
+from typing import Self
+
+import numpy as np
+import pytest
+from greenough.instrument.contract import CameraNoise, Frames, Placement, Procedure, Rig, RigIdentity, SpotBoard
+from greenough.instrument.errors import InputError
+from greenough.instrument.limits import check_patterns, check_within
+
+PARTS = {"board": 0.9, "coin": 0.4}
+
+
+class FakeCamera:
+    shape = (12, 16)
+    full_scale_dn = 255.0
+    black_level_dn = 4.0
+    noise = CameraNoise(full_well_e=6500.0, read_noise_e=10.0, electrons_per_dn=25.9)
+    exposure_limits_us = (100.0, 1e6)
+
+    def __init__(self) -> None:
+        self._exposure_us = 8333.0
+
+    @property
+    def exposure_us(self) -> float:
+        return self._exposure_us
+
+    @exposure_us.setter
+    def exposure_us(self, value: float) -> None:
+        check_within(value, self.exposure_limits_us, "exposure time", "us")
+        self._exposure_us = float(round(value))  # as a real camera, it takes whole microseconds
+
+
+class FakeStage:
+    limits_mm = (-1.6, 1.6)
+
+    def __init__(self) -> None:
+        self.position_mm = 0.0
+
+    def move_to_mm(self, position: float) -> None:
+        check_within(position, self.limits_mm, "stage position", "mm")
+        self.position_mm = round(position / 47e-6) * 47e-6  # whole microsteps: the reading is not the target
+
+
+class FakeOperator:
+    def __init__(self) -> None:
+        self.placement: Placement | None = None
+
+    def place(self, placement: Placement) -> None:
+        if placement.part not in PARTS:
+            raise InputError(f"no sample {placement.part}; known: {', '.join(PARTS)}.")
+        self.placement = placement
+
+
+class FakeProjector:
+    shape = (6, 8)
+
+
+class FakeRig:
+    """Each camera pixel sees one mirror; the noise depends on (seed, serial) alone."""
+
+    board = SpotBoard(3, 3, 0.65, 0.4, 0.175, 2.0, ((1, 1), (1, 2), (0, 1)))
+    procedure = Procedure((8.0, 4.0), (4, 4), 6, 5, 0.1, 0.8, (4.0, 1.0))
+
+    def __init__(self, dtype: type = np.uint8, seed: int = 1) -> None:
+        self.identity = RigIdentity("fake", "camera-7", "projector-3", hashlib.sha256(b"fake").hexdigest())
+        self.camera = FakeCamera()
+        self.stage = FakeStage()
+        self.operator = FakeOperator()
+        self.projector = FakeProjector()
+        self.entered = False
+        self._dtype = dtype
+        self._seed = seed
+        self._serial = 0
+
+    def capture(self, patterns: np.ndarray) -> Frames:
+        check_patterns(patterns, self.projector.shape)
+        serials = np.arange(self._serial, self._serial + len(patterns))
+        self._serial += len(patterns)
+        placement = self.operator.placement
+        albedo = PARTS[placement.part] if placement else 0.05
+        light = albedo * patterns.repeat(2, axis=1).repeat(2, axis=2) * (self.camera.exposure_us / 20_000)
+        noise = [np.random.default_rng((self._seed, serial)).normal(0, 2, self.camera.shape) for serial in serials]
+        stack = np.clip(light + self.camera.black_level_dn + np.array(noise), 0, self.camera.full_scale_dn)
+        if np.issubdtype(self._dtype, np.integer):
+            stack = np.rint(stack)
+        return Frames(
+            stack=stack.astype(self._dtype),
+            full_scale_dn=self.camera.full_scale_dn,
+            black_level_dn=self.camera.black_level_dn,
+            exposure_us=self.camera.exposure_us,
+            gain_db=0.0,
+            stage_position_mm=self.stage.position_mm,
+            serials=serials,
+            times_s=serials / 30.0,
+            run="default",
+        )
+
+    def __enter__(self) -> Self:
+        self.entered = True
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.entered = False
+
+
+@pytest.fixture
+def fake_rig() -> type[FakeRig]:
+    return FakeRig
+
+
+@pytest.fixture(params=[FakeRig], ids=["fake"])
+def open_some_rig(request: pytest.FixtureRequest) -> Callable[[], Rig]:
+    """Every rig that must keep the contract; each call opens it afresh."""
+    return request.param
+
+
+@pytest.fixture
+def patterns() -> np.ndarray:
+    """Four uneven patterns for the fake rig's projector."""
+    return np.random.default_rng(5).integers(0, 256, (4, *FakeProjector.shape), dtype=np.uint8)

@@ -1,0 +1,145 @@
+"""A thin fine-pitch ball grid array: truncated solder spheres on a substrate.
+
+z = 0 is half the nominal ball height above the substrate. Row 0 is at the top (+y), column 0 on the left (-x).
+"""
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from greenough.instrument.errors import InputError
+
+from .parts import Part, Specimen
+from .triangulation import grid_faces, grid_points, ring_angles, ring_faces
+
+_EDGE_MM = 0.0085  # length of a facet's sides; the sagitta over it is below 0.1 µm on the smallest ball
+
+
+@dataclass(frozen=True)
+class BallGrid:
+    """Drawing of a ball grid array, mm; diameter and height are within ± their tolerances."""
+
+    rows: int = 7
+    cols: int = 12
+    pitch: float = 0.8
+    diameter: float = 0.5
+    diameter_tolerance: float = 0.05
+    height: float = 0.4
+    height_tolerance: float = 0.05
+    substrate_size: tuple[float, float] = (11.6, 7.0)
+
+
+NOMINAL = BallGrid()
+
+
+def bga(
+    seed: int,
+    missing: Collection[tuple[int, int]] = (),
+    low: Mapping[tuple[int, int], float] | None = None,
+    nominal: BallGrid = NOMINAL,
+) -> Specimen:
+    """A ball grid array whose balls each have their own diameter and height.
+
+    Both are drawn from normal distributions around the nominal values with a third of the tolerance as standard
+    deviation, cut off at the tolerance. The same ball is drawn whatever else is missing or low.
+
+    Parameters
+    ----------
+    seed : int
+        Root of the balls' tolerances.
+    missing : collection of (row, col)
+        Balls that are not there.
+    low : mapping of (row, col) to mm
+        How much lower these balls are: they are of the same diameter, but sit deeper in the substrate.
+    nominal : BallGrid
+        The drawing.
+
+    Returns
+    -------
+    Specimen
+        Parts: substrate, balls. ``as_built``: ``ball_row`` and ``ball_col``, (balls,) int; ``ball_centres_mm``
+        (balls, 3); ``ball_radii_mm`` and ``ball_heights_mm`` above the substrate, (balls,); ``ball_apexes_mm``
+        (balls, 3).
+
+    Raises
+    ------
+    InputError
+        If a missing or low ball is not on the grid, or a low one would be left with its centre under the substrate
+        by more than half its radius.
+    """
+    low = {} if low is None else low
+    for row, col in [*missing, *low]:
+        if not (0 <= row < nominal.rows and 0 <= col < nominal.cols):
+            raise InputError(
+                f"ball ({row}, {col}) is not on the BGA; rows are 0 to {nominal.rows - 1} and columns 0 to "
+                f"{nominal.cols - 1}."
+            )
+    rng = np.random.default_rng(seed)
+    shape = (nominal.rows, nominal.cols)
+    radii = _toleranced(rng, shape, nominal.diameter, nominal.diameter_tolerance) / 2
+    heights = _toleranced(rng, shape, nominal.height, nominal.height_tolerance)
+    for (row, col), depth in low.items():
+        heights[row, col] -= depth
+        if heights[row, col] < radii[row, col] / 2:
+            raise InputError(
+                f"ball ({row}, {col}) is made {depth:g} mm lower, but at most "
+                f"{heights[row, col] + depth - radii[row, col] / 2:.3f} mm leaves enough of it."
+            )
+
+    present = np.ones(shape, bool)
+    for row, col in missing:
+        present[row, col] = False
+    row, col = np.nonzero(present)
+    radii, heights = radii[row, col], heights[row, col]
+    base = -nominal.height / 2
+    x = (col - (nominal.cols - 1) / 2) * nominal.pitch
+    y = ((nominal.rows - 1) / 2 - row) * nominal.pitch
+    apexes = np.stack([x, y, base + heights], axis=-1)
+    centres = apexes - radii[:, None] * [0.0, 0.0, 1.0]
+    return Specimen(
+        "bga",
+        (_substrate(nominal, base), _balls(centres, radii, base)),
+        nominal={
+            "pitch_mm": nominal.pitch,
+            "ball_diameter_mm": nominal.diameter,
+            "ball_diameter_tolerance_mm": nominal.diameter_tolerance,
+            "ball_height_mm": nominal.height,
+            "ball_height_tolerance_mm": nominal.height_tolerance,
+            "substrate_z_mm": base,
+        },
+        as_built={
+            "ball_row": row,
+            "ball_col": col,
+            "ball_centres_mm": centres,
+            "ball_radii_mm": radii,
+            "ball_heights_mm": heights,
+            "ball_apexes_mm": apexes,
+        },
+    )
+
+
+def _toleranced(rng: np.random.Generator, shape: tuple[int, int], middle: float, tolerance: float) -> np.ndarray:
+    return middle + np.clip(rng.standard_normal(shape) / 3, -1, 1) * tolerance
+
+
+def _substrate(nominal: BallGrid, z: float) -> Part:
+    width, height = nominal.substrate_size
+    xy = grid_points(np.array([-0.5, 0.5]) * width, np.array([-0.5, 0.5]) * height)
+    vertices = np.column_stack([xy, np.full(len(xy), z)])
+    return Part(vertices, grid_faces(2, 2), np.tile([0.0, 0.0, 1.0], (len(xy), 1)), "substrate")
+
+
+def _balls(centres: np.ndarray, radii: np.ndarray, base: float) -> Part:
+    """Spheres (balls, 3), (balls,) cut off at z = ``base``: rings of equal polar angle from the apex down."""
+    cut = np.arccos((base - centres[:, 2]) / radii)  # polar angle where the substrate begins
+    # One triangulation for all: fine enough for the largest ball and stretched to each ball's own cut.
+    rings = int(np.ceil((radii * cut).max() / _EDGE_MM))
+    share = np.arange(rings + 1) / rings
+    girth = 2 * np.pi * np.max(radii[:, None] * np.sin(share * cut[:, None]), axis=0)
+    counts = [1, *np.maximum(6, np.ceil(girth[1:] / _EDGE_MM)).astype(int).tolist()]
+    azimuth = ring_angles(counts)
+    polar = np.repeat(share, counts) * cut[:, None]  # (balls, points)
+    normals = np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)], axis=-1)
+    vertices = centres[:, None] + radii[:, None, None] * normals
+    faces = ring_faces(counts) + np.arange(len(radii))[:, None, None] * len(azimuth)
+    return Part(vertices.reshape(-1, 3), faces.reshape(-1, 3).astype(np.int32), normals.reshape(-1, 3), "solder")

@@ -1,0 +1,86 @@
+"""A mesh from anybody's STL, PLY or OBJ file, with its unit and where it is put."""
+
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from greenough.instrument.errors import InputError
+from scipy.spatial.transform import Rotation
+
+from .parts import Part, Specimen
+
+UNITS_MM = {"um": 1e-3, "mm": 1.0, "m": 1e3, "inch": 25.4}
+HALF_VOLUME_MM = (6.5, 5.0, 1.6)  # what a specimen may fill to either side of the origin
+SUFFIXES = (".stl", ".ply", ".obj")
+
+
+def load_mesh(
+    path: str | Path,
+    unit: str = "mm",
+    pose_mm_deg: tuple[float, float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+) -> Specimen:
+    """Read a mesh file as a matte specimen.
+
+    Parameters
+    ----------
+    path : str or Path
+        An STL, PLY or OBJ file with triangles (larger polygons are split).
+    unit : str
+        Of the file: "um", "mm", "m" or "inch".
+    pose_mm_deg : 6 floats
+        Where it is put: the file's geometry is turned about its own x axis, then y, then z (degrees, fixed axes
+        through its origin), then its origin is moved to (x, y, z) in mm.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, has no faces or a vertex that is not finite, the unit is unknown, the pose is not
+        six finite numbers, or the posed mesh reaches beyond ± 6.5 x 5.0 x 1.6 mm.
+    """
+    path = Path(path)
+    if unit not in UNITS_MM:
+        raise InputError(f"unit of {path} is {unit!r}; choose one of {', '.join(UNITS_MM)}.")
+    pose = np.asarray(pose_mm_deg, float)
+    if pose.shape != (6,) or not np.isfinite(pose).all():
+        raise InputError(
+            f"pose of {path} is {pose_mm_deg}; give six finite numbers: x, y, z in mm, then three angles in degrees."
+        )
+    raw, faces = _read(path)
+    vertices = Rotation.from_euler("xyz", pose[3:], degrees=True).apply(raw * UNITS_MM[unit]) + pose[:3]
+    used = vertices[np.unique(faces)]
+    low, high = used.min(axis=0), used.max(axis=0)
+    if (np.maximum(-low, high) > HALF_VOLUME_MM).any():
+        box = " x ".join(f"{size:.3g}" for size in high - low)
+        middle = ", ".join(f"{value:.3g}" for value in (low + high) / 2)
+        limit = " x ".join(f"±{half:g}" for half in HALF_VOLUME_MM)
+        raise InputError(
+            f"{path} read in {unit} measures {box} mm around ({middle}) mm, outside the volume {limit} mm; "
+            "check its unit and pose."
+        )
+    return Specimen(path.stem, (Part(vertices, faces, None, "matte"),))
+
+
+def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (n, 3) float64 and faces (m, 3) int32 as the file has them."""
+    if path.suffix.lower() not in SUFFIXES:
+        raise InputError(f"{path} is no mesh file that can be read; give one of {', '.join(SUFFIXES)}.")
+    if not path.is_file():
+        raise InputError(f"mesh file {path} does not exist.")
+    try:
+        mesh = trimesh.load(path, force="mesh", process=False, skip_materials=True)
+    except Exception as error:  # trimesh's readers raise whatever they stumble over
+        raise InputError(
+            f"{path} cannot be read as {path.suffix[1:].upper()}: it is damaged or of another format."
+        ) from error
+    faces = np.asarray(getattr(mesh, "faces", np.empty((0, 3))), np.int64).reshape(-1, 3)
+    vertices = np.asarray(mesh.vertices, float)
+    if len(faces) == 0:
+        raise InputError(f"{path} has no faces; export it as a triangle mesh, not as a point cloud.")
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise InputError(
+            f"{path} has a face that names vertex {faces.max()}, but there are only {len(vertices)}; export it again."
+        )
+    if not np.isfinite(vertices).all():
+        bad = int(np.argmin(np.isfinite(vertices).all(axis=-1)))
+        raise InputError(f"vertex {bad} of {path} is not finite; repair or export it again.")
+    return vertices, faces.astype(np.int32)

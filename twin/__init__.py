@@ -1,1 +1,30 @@
+"""The digital twin: a profilometer made of ideal lenses and a renderer, behind the same contract as the real one.
 
+``open`` gives the rig and, beside it, the bench that knows the truth; ``scene_dict`` is the Mitsuba scene. Mitsuba is
+loaded when one of the names is first used.
+"""
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from .bench import Bench as Bench
+    from .bench import Truth as Truth
+    from .rig import TwinRig as TwinRig
+    from .rig import open as open
+    from .rig import open_rig as open_rig
+    from .rig import scene_dict as scene_dict
+
+_HOME = {"Bench": "bench", "Truth": "bench", "TwinRig": "rig", "open": "rig", "open_rig": "rig", "scene_dict": "rig"}
+
+__all__ = ["Bench", "Truth", "TwinRig", "open", "open_rig", "scene_dict"]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib import import_module
+
+    from .renderer import start
+
+    start()
+    return getattr(import_module(f".{_HOME[name]}", __name__), name)

@@ -1,0 +1,123 @@
+"""The truth about what is mounted now: what only a twin can say, and what no pipeline is told."""
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from greenough.instrument.rigfile import RigFile
+from greenough.scenes.parts import Part, Specimen, transform
+
+from .scene import camera_dict, projector_dict, specimen_dict
+from .settings import TwinSettings
+from .workbench import Workbench
+
+MIN_COSINE = 0.2  # of the surface's normal to either path, for a pixel to count as lit and seen
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """What each pixel's central ray really meets.
+
+    Parameters
+    ----------
+    xyz : (rows, cols, 3) float64
+        Point in the twin's frame; NaN where the ray meets nothing.
+    normal : (rows, cols, 3) float64
+        Geometric unit normal there.
+    column, row : (rows, cols) float64
+        Where the point lies on the mirror array through the middle of the projector's pupil, in mirrors; NaN as above.
+    lit_and_seen : (rows, cols) bool
+        The middle of both pupils is visible from the point, column and row lie on the array, and the normal's cosine to
+        both paths exceeds 0.2.
+    world_from_twin : (4, 4)
+        The calibrated frame, computed from the board's flat posture as it really was.
+    """
+
+    xyz: np.ndarray
+    normal: np.ndarray
+    column: np.ndarray
+    row: np.ndarray
+    lit_and_seen: np.ndarray
+    world_from_twin: np.ndarray
+
+    @property
+    def xyz_world(self) -> np.ndarray:
+        """``xyz`` in the calibrated frame, (rows, cols, 3)."""
+        return self.xyz @ self.world_from_twin[:3, :3].T + self.world_from_twin[:3, 3]
+
+    @property
+    def normal_world(self) -> np.ndarray:
+        """``normal`` in the calibrated frame, (rows, cols, 3)."""
+        return self.normal @ self.world_from_twin[:3, :3].T
+
+
+class Bench:
+    """Speaks of the twin that it was opened with, in that twin's present state."""
+
+    def __init__(self, rig_file: RigFile, settings: TwinSettings, workbench: Workbench) -> None:
+        self._rig_file = rig_file
+        self._workbench = workbench
+        self.settings = settings
+
+    @property
+    def world_from_twin(self) -> np.ndarray:
+        """The calibrated frame, (4, 4)."""
+        return self._workbench.world_from_twin()
+
+    @property
+    def specimen(self) -> Specimen:
+        """What is mounted, in its own frame, with its dimensions as built."""
+        assert self._workbench.mounted is not None
+        return self._workbench.mounted.specimen
+
+    @property
+    def world_from_part(self) -> np.ndarray:
+        """Where the mounted part really is, (4, 4)."""
+        return self.world_from_twin @ self._workbench.twin_from_part()
+
+    def parts_in_world(self) -> list[Part]:
+        """The mounted surfaces in the calibrated frame: the mesh to compare with."""
+        motion = self.world_from_part
+        return [transform(part, motion) for part in self.specimen.parts]
+
+    def truth(self) -> Truth:
+        """Trace the central ray of every pixel."""
+        rows, cols = self._rig_file.camera.shape
+        optics = self.settings.optics
+        mirror_rows, mirror_cols = self._rig_file.projector.shape
+        blank = np.zeros((1, mirror_rows, mirror_cols), np.uint8)
+        scene = mi.load_dict(
+            {
+                "type": "scene",
+                "embree_use_robust_intersections": True,
+                "sensor": camera_dict(optics, (rows, cols)),
+                "projector": projector_dict(optics, blank),
+            }
+            | specimen_dict(self._workbench.parts_in_twin(), self.settings.render)
+        )
+        sensor, projector = scene.sensors()[0], scene.emitters()[0]
+        pixel = dr.arange(mi.UInt32, rows * cols)
+        film = mi.Point2f((mi.Float(pixel % cols) + 0.5) / cols, (mi.Float(pixel // cols) + 0.5) / rows)
+        middle = mi.Point2f(0.5, 0.5)
+        ray, _ = sensor.sample_ray(0.0, 0.5, film, middle)
+        si = scene.ray_intersect(ray)
+        pupil, column, row, _ = projector.aim(si.p, middle)
+        to_projector = dr.normalize(mi.Vector3f(pupil - si.p))
+        shadowed = scene.ray_test(si.spawn_ray_to(pupil))
+        facing = (-dr.dot(si.n, ray.d) > MIN_COSINE) & (dr.dot(si.n, to_projector) > MIN_COSINE)
+        inside = (column >= 0) & (column <= mirror_cols - 0.5) & (row >= 0) & (row <= mirror_rows - 1)
+        hit = np.array(si.is_valid()).reshape(rows, cols)
+
+        def image(values: mi.Float) -> np.ndarray:
+            return np.where(hit, np.array(values, np.float64).reshape(rows, cols), np.nan)
+
+        return Truth(
+            xyz=np.stack([image(v) for v in (si.p.x, si.p.y, si.p.z)], axis=-1),
+            normal=np.stack([image(v) for v in (si.n.x, si.n.y, si.n.z)], axis=-1),
+            column=image(column),
+            row=image(row),
+            lit_and_seen=np.array(si.is_valid() & ~shadowed & facing & inside).reshape(rows, cols),
+            world_from_twin=self.world_from_twin,
+        )

@@ -1,0 +1,78 @@
+"""From light to grey values: the camera's noise chain by EMVA 1288."""
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from greenough.instrument.rigfile import CameraSection
+
+from .randomness import exposure_key, instrument_rng
+from .settings import CameraSettings
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """One image sensor as it was made: its data sheet, its true noise, and the fixed patterns of its pixels."""
+
+    section: CameraSection
+    settings: CameraSettings
+    gain: mi.Float  # (pixels,) relative responsivity, mean 1
+    offset_e: mi.Float  # (pixels,) dark signal in electrons, mean 0
+
+    @property
+    def full_scale_dn(self) -> float:
+        """Grey value at which frames clip; float frames do not."""
+        return self.section.full_scale_dn if self.section.bits else float("inf")
+
+
+def build_sensor(section: CameraSection, settings: CameraSettings, seed: int) -> Sensor:
+    """Draw the pixels of one sensor."""
+    rng = instrument_rng(seed, "sensor")
+    pixels = section.rows * section.cols
+    gain = 1 + settings.prnu * rng.standard_normal(pixels)
+    offset = settings.dsnu_e * rng.standard_normal(pixels)
+    return Sensor(section, settings, mi.Float(gain.astype(np.float32)), mi.Float(offset.astype(np.float32)))
+
+
+def expose(electrons: list[mi.Float], sensor: Sensor, seed: int, run: str, first_serial: int) -> np.ndarray:
+    """Read out one frame for each of the N images of mean ``electrons``, (rows * cols,) each.
+
+    Returns
+    -------
+    (N, rows, cols) uint8, uint16, or float32 where the camera does not quantise.
+    """
+    section = sensor.section
+    dtype = {0: np.float32, 8: np.uint8, 16: np.uint16}[section.bits]
+    stack = np.empty((len(electrons), section.rows, section.cols), dtype)
+    for k, mean in enumerate(electrons):
+        grey = _read_out(mean, sensor, exposure_key(seed, run, first_serial + k))
+        stack[k] = np.array(grey).reshape(section.rows, section.cols)
+    return stack
+
+
+def _read_out(mean: mi.Float, sensor: Sensor, key: int) -> mi.Float:
+    section, settings = sensor.section, sensor.settings
+    rng = dr.rng(seed=dr.opaque(mi.UInt64, key))
+    electrons = mean * sensor.gain
+    if settings.shot_noise:
+        electrons = poisson(electrons, rng.normal(mi.Float, dr.width(sensor.gain)))
+    electrons += sensor.offset_e
+    if settings.read_noise_e > 0:
+        electrons += settings.read_noise_e * rng.normal(mi.Float, dr.width(sensor.gain))
+    grey = section.black_level_dn + electrons / section.noise.electrons_per_dn
+    if section.bits:
+        grey = dr.clip(dr.round(grey), 0, section.full_scale_dn)
+    return grey
+
+
+def poisson(mean: mi.Float, normal: mi.Float) -> mi.Float:
+    """Photon counts from standard normal numbers by the Cornish-Fisher expansion of the Poisson quantile.
+
+    Mean, variance and skewness agree with Poisson's above a handful of electrons; below, the read noise hides the rest.
+    """
+    root = dr.sqrt(dr.maximum(mean, 0))
+    second = (dr.square(normal) - 1) / 6
+    third = normal * (1 - dr.square(normal)) / (72 * dr.maximum(root, 2))
+    return dr.maximum(dr.round(mean + root * normal + second + third), 0)

@@ -1,0 +1,162 @@
+"""A pattern projector behind an ideal lens of finite aperture, with the mirrors' shape and diffraction.
+
+.. pluginparameters::
+
+ * - to_world: transform
+     Projector to world: it shines along +z with the pattern's columns running along -x and its rows along -y, as
+     Mitsuba's own ``projector`` does; the origin is the centre of the pupil towards the scene.
+ * - patterns: tensor (N, rows, cols)
+     Grey values 0-255.
+ * - pattern: integer
+     Which pattern integrators other than ``fringe`` see (default: 0).
+ * - column_pitch, row_pitch: float
+     Size of a mirror's column and row step in the focused plane, in scene units.
+ * - focus_distance: float
+     Distance from the pupil to the plane in focus, in scene units.
+ * - aperture_radius: float
+     Radius of that pupil in scene units; 0 is a pinhole (default).
+ * - wavelength, diffraction_na: float
+     Wavelength in scene units and numerical aperture of the band limit; a wavelength of 0 shows square pixels without
+     any (default), and ``diffraction_na`` defaults to aperture_radius / focus_distance.
+ * - fill, off_state: float
+     Share of a diamond's area that reflects (default: 0.92), and light of a dark mirror (default: 0); only with a band
+     limit.
+ * - irradiance: float
+     Irradiance of a white pattern in the focused plane, on a surface perpendicular to the axis (default: 1).
+
+The light of a white pattern on planes perpendicular to the axis is constant over the field, as it is with Mitsuba's
+``projector``: an ideal lens has no natural vignetting.
+"""
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..dmd import Mirrors, band_limited, square_pixels
+
+
+class LensProjector(mi.Emitter):
+    """See the module for the parameters."""
+
+    def __init__(self, props: mi.Properties) -> None:
+        super().__init__(props)
+        self.m_flags = mi.EmitterFlags.DeltaPosition
+        self.m_needs_sample_3 = False
+        world_from_local = np.array(props.get("to_world", mi.ScalarTransform4f()).matrix, np.float64)
+        self.to_world = mi.AffineTransform4f(world_from_local.astype(np.float32))
+        self.to_local = mi.AffineTransform4f(np.linalg.inv(world_from_local).astype(np.float32))
+        self.pitch = (float(props["column_pitch"]), float(props["row_pitch"]))
+        self.focus = float(props["focus_distance"])
+        self.aperture = float(props.get("aperture_radius", 0.0))
+        self.irradiance = float(props.get("irradiance", 1.0))
+        self.pattern = int(props.get("pattern", 0))
+        self.wavelength = float(props.get("wavelength", 0.0))
+        self.na = float(props.get("diffraction_na", self.aperture / self.focus))
+        self.mirrors = Mirrors(*self.pitch, float(props.get("fill", 0.92)), float(props.get("off_state", 0.0)))
+        self.set_patterns(np.array(props["patterns"]).astype(np.uint8))
+
+    def set_patterns(self, patterns: np.ndarray) -> None:
+        """Show other ``patterns``, (N, rows, cols) uint8."""
+        self.n_patterns, rows, cols = patterns.shape
+        # A diamond array is half a column wider than its columns: its middle is that of even and odd rows together.
+        stagger = 0.25 if self.wavelength > 0 else 0.0
+        self.middle = ((cols - 1) / 2 + stagger, (rows - 1) / 2)
+        if self.wavelength > 0:
+            table = band_limited(patterns, self.mirrors, self.na, self.wavelength)
+        else:
+            table = square_pixels(patterns)
+        self.values = mi.Float(table.values.ravel())
+        self.table_shape = table.values.shape[:2]  # (table_rows, table_cols)
+        self.row_profile = mi.Float(table.row_profile)
+        self.origin, self.cells, self.interpolate = table.origin, table.cells, table.interpolate
+
+    def aim(self, p: mi.Point3f, sample: mi.Point2f) -> tuple[mi.Point3f, mi.Float, mi.Float, mi.Float]:
+        """Trace the scene point ``p`` back through a point of the pupil to the mirrors.
+
+        Returns the pupil point in the world, the column and row on the array, and the irradiance at ``p`` of a white
+        pattern on a surface that faces that pupil point.
+        """
+        local = self.to_local @ p
+        disk = mi.warp.square_to_uniform_disk_concentric(sample) * self.aperture
+        pupil = mi.Point3f(disk.x, disk.y, 0)
+        reach = self.focus / local.z
+        at_x = dr.fma(local.x - pupil.x, reach, pupil.x)
+        at_y = dr.fma(local.y - pupil.y, reach, pupil.y)
+        column = self.middle[0] - at_x / self.pitch[0]
+        row = self.middle[1] - at_y / self.pitch[1]
+        # Constant irradiance on the focused plane needs 1 / cos; the inverse square is taken along the axis.
+        distance = dr.norm(local - pupil)
+        white = self.irradiance * dr.square(reach) * distance / local.z
+        return self.to_world @ pupil, column, row, dr.select(local.z > 0, white, 0.0)
+
+    @dr.syntax
+    def light(self, column: mi.Float, row: mi.Float, active: mi.Bool) -> list[mi.Float]:
+        """Relative light of every pattern at (column, row): a list of N."""
+        n = self.n_patterns
+        x = (column - self.origin[0]) * self.cells[0]
+        y = (row - self.origin[1]) * self.cells[1]
+        rows, cols = self.table_shape
+        if dr.hint(not self.interpolate, mode="scalar"):
+            i, j = mi.Int32(dr.floor(y + 0.5)), mi.Int32(dr.floor(x + 0.5))
+            inside = active & (i >= 0) & (i < rows) & (j >= 0) & (j < cols)
+            cell = mi.UInt32(i * cols + j) * n
+            return [dr.gather(mi.Float, self.values, cell + k, inside) for k in range(n)]
+        j = mi.Int32(dr.floor(x))
+        t = x - j
+        if dr.hint(rows == 1, mode="scalar"):
+            i = mi.Int32(dr.floor(y))
+            inside = active & (j >= 0) & (j < cols - 1) & (i >= 0) & (i < dr.width(self.row_profile) - 1)
+            above = dr.gather(mi.Float, self.row_profile, mi.UInt32(i), inside)
+            below = dr.gather(mi.Float, self.row_profile, mi.UInt32(i + 1), inside)
+            share = dr.lerp(above, below, y - i)
+            cell = mi.UInt32(j) * n
+            return [share * self._lerp(cell + k, n, t, inside) for k in range(n)]
+        i = mi.Int32(dr.floor(y))
+        s = y - i
+        inside = active & (j >= 0) & (j < cols - 1) & (i >= 0) & (i < rows - 1)
+        cell = mi.UInt32(i * cols + j) * n
+        below = mi.UInt32((i + 1) * cols + j) * n
+        return [
+            dr.lerp(self._lerp(cell + k, n, t, inside), self._lerp(below + k, n, t, inside), s) for k in range(n)
+        ]
+
+    def _lerp(self, cell: mi.UInt32, step: int, t: mi.Float, active: mi.Bool) -> mi.Float:
+        left = dr.gather(mi.Float, self.values, cell, active)
+        right = dr.gather(mi.Float, self.values, cell + step, active)
+        return dr.lerp(left, right, t)
+
+    def sample_direction(self, it, sample, active=True):
+        """A point of the pupil, drawn uniformly, and the light that ``it.p`` gets from there through one pattern."""
+        pupil, column, row, white = self.aim(it.p, sample)
+        ds = mi.DirectionSample3f()
+        ds.p = pupil
+        ds.n = self.to_world @ mi.Vector3f(0, 0, 1)
+        ds.uv = mi.Point2f(0.5)
+        ds.time = it.time
+        ds.pdf = 1.0
+        ds.delta = True
+        ds.emitter = mi.EmitterPtr(self)
+        ds.d = mi.Vector3f(pupil - it.p)
+        ds.dist = dr.norm(ds.d)
+        ds.d /= ds.dist
+        active = mi.Bool(active)
+        light = self.light(column, row, active)[self.pattern]
+        return ds, mi.Spectrum(dr.select(active, light * white, 0.0))
+
+    def pdf_direction(self, it, ds, active=True):
+        return mi.Float(0)
+
+    def eval_direction(self, it, ds, active=True):
+        return mi.Spectrum(0)
+
+    def eval(self, si, active=True):
+        return mi.Spectrum(0)
+
+    def sample_wavelengths(self, si, sample, active=True):
+        return si.wavelengths, mi.Spectrum(1.0)
+
+    def bbox(self) -> mi.ScalarBoundingBox3f:
+        return mi.ScalarBoundingBox3f()
+
+    def to_string(self) -> str:
+        return f"LensProjector[{self.n_patterns} patterns, focus={self.focus}, aperture={self.aperture}]"

@@ -1,0 +1,107 @@
+"""A camera behind an ideal lens of finite aperture, with square pixels and diffraction.
+
+.. pluginparameters::
+
+ * - to_world: transform
+     Sensor to world. As with Mitsuba's own ``perspective`` the sensor looks along +z with the image's columns running
+     along -x and its rows along -y; the origin is the centre of the entrance pupil.
+ * - focal_length_px: float
+     Equivalent pinhole focal length, in pixels.
+ * - principal_point_px: (column, row)
+     Where the axis meets the image, pixel centres at integers (default: middle of the film).
+ * - focus_distance: float
+     Distance from the pupil to the plane in focus, in scene units.
+ * - aperture_radius: float
+     Radius of the entrance pupil in scene units; 0 is a pinhole (default).
+ * - wavelength: float
+     Wavelength in scene units for the diffraction at the aperture that focuses at ``focus_distance``; 0 switches
+     diffraction off (default).
+ * - diffraction_na: float
+     Numerical aperture for the diffraction, where it is not aperture_radius / focus_distance (a pinhole that still
+     diffracts like the lens it stands for).
+"""
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..diffraction import pixel_response
+
+
+class LensSensor(mi.Sensor):
+    """See the module for the parameters."""
+
+    def __init__(self, props: mi.Properties) -> None:
+        super().__init__(props)
+        size = self.film().size()
+        self.size = (int(size[0]), int(size[1]))  # (cols, rows)
+        self.focal = float(props["focal_length_px"])
+        centre = props.get("principal_point_px", mi.ScalarPoint2f(0.5 * self.size[0] - 0.5, 0.5 * self.size[1] - 0.5))
+        self.centre = (float(centre[0]), float(centre[1]))
+        self.focus = float(props["focus_distance"])
+        self.aperture = float(props.get("aperture_radius", 0.0))
+        wavelength = float(props.get("wavelength", 0.0))
+        na = float(props.get("diffraction_na", self.aperture / self.focus))
+        self.to_world = mi.AffineTransform4f(np.array(props.get("to_world", mi.ScalarTransform4f()).matrix, np.float32))
+        self.response = None
+        if wavelength > 0 and na > 0:
+            marginal, conditional = pixel_response(self.focus / self.focal, na, wavelength)
+            self.response = (mi.Float(marginal), mi.Float(conditional.ravel()), conditional.shape)
+        self.m_needs_sample_3 = self.aperture > 0
+
+    def displacement(self, u: mi.Float, v: mi.Float) -> tuple[mi.Float, mi.Float]:
+        """Where in units of pixels the light of a pixel comes from, for a sample (u, v) of the unit square."""
+        if self.response is None:
+            return u - 0.5, v - 0.5
+        marginal, conditional, (rows, cols) = self.response
+        x = _read(marginal, u, dr.width(marginal))
+        at = u * (rows - 1)
+        row = dr.minimum(mi.UInt32(at), rows - 2)
+        upper = _read(conditional, v, cols, row * cols)
+        lower = _read(conditional, v, cols, (row + 1) * cols)
+        return x, dr.lerp(upper, lower, at - row)
+
+    def sample_ray(self, time, sample1, sample2, sample3, active=True):
+        """A ray from the aperture through the focused image of a film position; its weight is 1."""
+        cols, rows = self.size
+        at_x, at_y = sample2.x * cols, sample2.y * rows
+        column, row = dr.floor(at_x), dr.floor(at_y)
+        du, dv = self.displacement(at_x - column, at_y - row)
+        scale = -self.focus / self.focal
+        target = mi.Point3f(
+            (column + du - self.centre[0]) * scale, (row + dv - self.centre[1]) * scale, mi.Float(self.focus)
+        )
+        pupil = mi.warp.square_to_uniform_disk_concentric(sample3) * self.aperture
+        origin = mi.Point3f(pupil.x, pupil.y, 0)
+        ray = mi.Ray3f()
+        ray.time = time
+        ray.o = self.to_world @ origin
+        ray.d = self.to_world @ mi.Vector3f(dr.normalize(target - origin))
+        ray.maxt = dr.largest(mi.Float)
+        return ray, mi.Spectrum(1.0)
+
+    def sample_ray_differential(self, time, sample1, sample2, sample3, active=True):
+        """As ``sample_ray``; the differentials are rays of the neighbouring pixels."""
+        ray, weight = self.sample_ray(time, sample1, sample2, sample3, active)
+        out = mi.RayDifferential3f(ray)
+        cols, rows = self.size
+        right, _ = self.sample_ray(time, sample1, sample2 + mi.Vector2f(1 / cols, 0), sample3, active)
+        below, _ = self.sample_ray(time, sample1, sample2 + mi.Vector2f(0, 1 / rows), sample3, active)
+        out.o_x, out.d_x, out.o_y, out.d_y = right.o, right.d, below.o, below.d
+        out.has_differentials = True
+        return out, weight
+
+    def bbox(self) -> mi.ScalarBoundingBox3f:
+        return mi.ScalarBoundingBox3f(self.to_world @ mi.ScalarPoint3f(0, 0, 0))
+
+    def to_string(self) -> str:
+        return f"LensSensor[focal_length_px={self.focal}, focus={self.focus}, aperture={self.aperture}]"
+
+
+def _read(table: mi.Float, u: mi.Float, n: int, offset: mi.UInt32 | int = 0) -> mi.Float:
+    """Linear interpolation in ``n`` entries of ``table`` from ``offset``, at u in [0, 1]."""
+    at = u * (n - 1)
+    k = dr.minimum(mi.UInt32(at), n - 2)
+    low = dr.gather(mi.Float, table, k + offset)
+    high = dr.gather(mi.Float, table, k + 1 + offset)
+    return dr.lerp(low, high, at - k)

@@ -1,0 +1,18 @@
+"""Quadrature nodes of a light path: one low-discrepancy set, the same in every pixel."""
+
+import numpy as np
+from scipy.stats import qmc
+
+
+def nodes(count: int, dimensions: int) -> np.ndarray:
+    """``count`` nodes in the unit cube, (count, dimensions) float32.
+
+    Half of them are a scrambled Sobol sequence with a fixed scrambling, the others its mirror image 1 - u: every odd
+    moment of a symmetric distribution, such as the centroid of a pixel or a pupil, is then exactly zero.
+
+    Raises ValueError unless ``count`` is a power of two of at least 2.
+    """
+    if count < 2 or count & (count - 1):
+        raise ValueError(f"the number of nodes must be a power of two of at least 2, not {count}")
+    half = qmc.Sobol(dimensions, rng=np.random.default_rng(1)).random(count // 2)
+    return np.clip(np.concatenate([half, 1 - half]), 1e-6, 1 - 1e-6).astype(np.float32)

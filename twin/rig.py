@@ -1,0 +1,278 @@
+"""The twin as a rig: the contract of ``greenough.instrument`` in front of a renderer."""
+
+import hashlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Self
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from greenough.instrument.contract import (
+    CameraNoise,
+    Frames,
+    Placement,
+    Procedure,
+    RigIdentity,
+    SpotBoard,
+)
+from greenough.instrument.errors import InputError
+from greenough.instrument.rigfile import RigFile, load_rig_file
+
+from .bench import Bench
+from .camera import build_sensor, expose
+from .scene import camera_dict, integrator_dict, projector_dict, specimen_dict
+from .settings import TwinSettings, twin_settings
+from .workbench import Workbench
+
+BLANKING_US = 250.0  # between two patterns, while the projector loads the next
+
+
+class TwinCamera:
+    """The camera's side of the contract."""
+
+    def __init__(self, rig_file: RigFile) -> None:
+        self._section = rig_file.camera
+        self._exposure_us = self._section.exposure_min_us
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return self._section.shape
+
+    @property
+    def full_scale_dn(self) -> float:
+        return self._section.full_scale_dn
+
+    @property
+    def black_level_dn(self) -> float:
+        return self._section.black_level_dn
+
+    @property
+    def noise(self) -> CameraNoise:
+        return self._section.noise
+
+    @property
+    def exposure_limits_us(self) -> tuple[float, float]:
+        return self._section.exposure_min_us, self._section.exposure_max_us
+
+    @property
+    def exposure_us(self) -> float:
+        return self._exposure_us
+
+    @exposure_us.setter
+    def exposure_us(self, value: float) -> None:
+        low, high = self.exposure_limits_us
+        if not low <= value <= high:
+            raise InputError(f"exposure of {value:g} us is outside the camera's {low:g} to {high:g} us.")
+        self._exposure_us = float(value)
+
+
+class TwinProjector:
+    """The projector's side of the contract."""
+
+    def __init__(self, rig_file: RigFile) -> None:
+        self.shape = rig_file.projector.shape
+
+
+class TwinStage:
+    """The stage's side of the contract: what it reads, not where it is."""
+
+    def __init__(self, rig_file: RigFile, workbench: Workbench) -> None:
+        self.limits_mm = rig_file.stage.limits_mm
+        self._workbench = workbench
+
+    @property
+    def position_mm(self) -> float:
+        return self._workbench.position
+
+    def move_to_mm(self, position: float) -> None:
+        low, high = self.limits_mm
+        if not low <= position <= high:
+            raise InputError(f"stage position {position:g} mm is outside the travel of {low:g} to {high:g} mm.")
+        self._workbench.position = float(position)
+
+
+class TwinOperator:
+    """The hands that move the part in the twin."""
+
+    def __init__(self, workbench: Workbench) -> None:
+        self._workbench = workbench
+
+    def place(self, placement: Placement) -> None:
+        self._workbench.place(placement)
+
+
+class TwinRig:
+    """A profilometer of ideal lenses, rendered; see ``greenough.instrument.contract.Rig``."""
+
+    def __init__(self, rig_file: RigFile, workbench: Workbench, run: str, exposures_done: int) -> None:
+        self._rig_file = rig_file
+        self._settings: TwinSettings = twin_settings(rig_file)
+        self._renderer = Renderer(rig_file, self._settings, workbench)
+        self._sensor = build_sensor(rig_file.camera, self._settings.camera, self._settings.seed)
+        self._run = run
+        self._serial = exposures_done
+        self._clock_s = 0.0
+        self.camera = TwinCamera(rig_file)
+        self.projector = TwinProjector(rig_file)
+        self.stage = TwinStage(rig_file, workbench)
+        self.operator = TwinOperator(workbench)
+
+    @property
+    def identity(self) -> RigIdentity:
+        seed = self._settings.seed
+        return self._rig_file.identity(f"TWIN-CAMERA-{seed}", f"TWIN-PROJECTOR-{seed}")
+
+    @property
+    def board(self) -> SpotBoard:
+        return self._rig_file.board.nominal
+
+    @property
+    def procedure(self) -> Procedure:
+        return self._rig_file.procedure.contract
+
+    def capture(self, patterns: np.ndarray) -> Frames:
+        """One exposure per pattern; all patterns are rendered in one pass.
+
+        Raises InputError when ``patterns`` are not (N, rows, cols) uint8 of the projector's shape, or when nothing is
+        mounted.
+        """
+        shape = self.projector.shape
+        if patterns.ndim != 3 or patterns.shape[1:] != shape or patterns.dtype != np.uint8 or not len(patterns):
+            raise InputError(
+                f"patterns are {patterns.dtype} {patterns.shape}, but the projector takes uint8 (N, {shape[0]}, "
+                f"{shape[1]}) with N of at least 1."
+            )
+        exposure_us = self.camera.exposure_us
+        rate = np.pi * self._settings.light.white_electrons_per_ms * exposure_us * 1e-3
+        electrons = [radiance * rate for radiance in self._renderer.radiance(patterns)]
+        stack = expose(electrons, self._sensor, self._settings.seed, self._run, self._serial)
+        n = len(patterns)
+        period_s = (exposure_us + BLANKING_US) * 1e-6
+        frames = Frames(
+            stack=stack,
+            full_scale_dn=self._sensor.full_scale_dn,
+            black_level_dn=self.camera.black_level_dn,
+            exposure_us=exposure_us,
+            gain_db=0.0,
+            stage_position_mm=self.stage.position_mm,
+            serials=self._serial + np.arange(n, dtype=np.int64),
+            times_s=self._clock_s + np.arange(n) * period_s,
+            run=self._run,
+        )
+        self._serial += n
+        self._clock_s += n * period_s
+        return frames
+
+    def irradiance(self, patterns: np.ndarray) -> np.ndarray:
+        """What the camera is exposed to: radiance of all patterns before any noise, (N, rows, cols) float32.
+
+        A white Lambertian surface under a white pattern gives 1/pi.
+        """
+        channels = self._renderer.radiance(patterns)
+        return np.stack([np.array(channel).reshape(self.camera.shape) for channel in channels])
+
+    def scene_dict(self, patterns: np.ndarray) -> dict[str, Any]:
+        """The scene of what is mounted, see ``greenough.twin.scene_dict``."""
+        return self._renderer.scene_dict(patterns)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        pass
+
+
+class Renderer:
+    """Renders what the workbench holds, and keeps the last result: exposures of one scene share it."""
+
+    def __init__(self, rig_file: RigFile, settings: TwinSettings, workbench: Workbench) -> None:
+        self._shape = rig_file.camera.shape
+        self._settings = settings
+        self._workbench = workbench
+        self._kept: tuple[tuple[object, ...], list[mi.Float]] | None = None
+        self._sensor = mi.load_dict(camera_dict(settings.optics, self._shape))
+        self._projector: tuple[bytes, mi.Emitter] | None = None
+
+    def radiance(self, patterns: np.ndarray) -> list[mi.Float]:
+        """Radiance of each pattern, N arrays of (rows * cols,)."""
+        digest = hashlib.sha256(patterns.tobytes()).digest()
+        state = (self._workbench.mounted, self._workbench.position, digest)
+        if self._kept is None or self._kept[0] != state:
+            self._kept = None  # the old stack is freed before the new one is made
+            scene = mi.load_dict(self._scene(self._projector_for(patterns, digest)))
+            integrator = scene.integrator()
+            self._kept = (state, integrator.render_channels(scene, scene.sensors()[0], 0, integrator.nodes))
+            dr.sync_thread()
+        return self._kept[1]
+
+    def scene_dict(self, patterns: np.ndarray) -> dict[str, Any]:
+        """The scene with its own sensor and projector as dictionaries."""
+        projector = projector_dict(self._settings.optics, patterns)
+        return self._scene(projector) | {"sensor": camera_dict(self._settings.optics, self._shape)}
+
+    def _projector_for(self, patterns: np.ndarray, digest: bytes) -> mi.Emitter:
+        if self._projector is None or self._projector[0] != digest:
+            self._projector = (digest, mi.load_dict(projector_dict(self._settings.optics, patterns)))
+        return self._projector[1]
+
+    def _scene(self, projector: object) -> dict[str, Any]:
+        mounted = self._workbench.mounted
+        if mounted is None:
+            raise InputError("nothing is mounted: let the operator place a part before frames are captured.")
+        return {
+            "type": "scene",
+            "embree_use_robust_intersections": True,
+            "integrator": integrator_dict(self._settings.render, mounted.smooth),
+            "sensor": self._sensor,
+            "projector": projector,
+        } | specimen_dict(self._workbench.parts_in_twin(), self._settings.render)
+
+
+def open_rig(rig_file: RigFile, run: str = "default", exposures_done: int = 0) -> TwinRig:
+    """The driver's entry: the rig alone, without its bench."""
+    settings = twin_settings(rig_file)
+    return TwinRig(rig_file, Workbench(rig_file, settings), run, exposures_done)
+
+
+def open(
+    name_or_path: str | Path = "twin", overrides: Sequence[str] = (), run: str = "default", exposures_done: int = 0
+) -> tuple[TwinRig, Bench]:
+    """Open a twin together with the bench that knows its truth.
+
+    Parameters are those of ``greenough.instrument.open_rig``. Raises InputError for a rig whose driver is not the twin.
+    """
+    rig_file = load_rig_file(name_or_path, overrides)
+    if rig_file.driver != "greenough.twin:open_rig":
+        raise InputError(f"rig {name_or_path} is driven by {rig_file.driver}: only a twin has a bench with the truth.")
+    settings = twin_settings(rig_file)
+    workbench = Workbench(rig_file, settings)
+    return TwinRig(rig_file, workbench, run, exposures_done), Bench(rig_file, settings, workbench)
+
+
+def scene_dict(rig: TwinRig, sample: str | Placement, patterns: np.ndarray | None = None) -> dict[str, Any]:
+    """The whole Mitsuba scene as one dictionary for ``mi.load_dict``: both paths, projector, sensor, meshes, materials.
+
+    ``mi.render`` of the loaded scene is the rig's irradiance stack, (rows, cols, N).
+
+    Parameters
+    ----------
+    rig : TwinRig
+        The instrument; ``sample`` is placed on it.
+    sample : str or Placement
+        What lies under the lenses.
+    patterns : (N, rows, cols) uint8, optional
+        What is projected; default is the fringe set of the rig's procedure.
+    """
+    rig.operator.place(Placement(sample) if isinstance(sample, str) else sample)
+    return rig.scene_dict(fringe_patterns(rig) if patterns is None else patterns)
+
+
+def fringe_patterns(rig: TwinRig) -> np.ndarray:
+    """The fringe set of the rig's procedure by eq. 1, (N, rows, cols) uint8."""
+    rows, cols = rig.projector.shape
+    column = np.arange(cols)
+    sets = zip(rig.procedure.periods_px, rig.procedure.steps, strict=True)
+    lines = [127.5 * (1 + np.cos(2 * np.pi * (column / p + n / steps))) for p, steps in sets for n in range(steps)]
+    return np.repeat(np.round(lines).astype(np.uint8)[:, None], rows, axis=1)

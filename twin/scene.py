@@ -1,0 +1,114 @@
+"""The Mitsuba scene: both lens paths, the projector, the sensor, and the parts on the table with their materials."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from greenough.scenes.materials import MATERIALS, Diffuse, Material, RoughConductor
+from greenough.scenes.parts import Part
+
+from .settings import OpticsSettings, RenderSettings
+
+
+def axis_frame(angle: float, distance: float) -> np.ndarray:
+    """``twin_from_path`` (4, 4) of a lens path whose axis leans by ``angle`` from z towards +x.
+
+    Its origin is the pupil's centre at ``distance`` from the twin's origin; it looks along its +z, and its x and y run
+    against the image's columns and rows, which is Mitsuba's convention. In the image +x is to the right and +y up.
+    """
+    backward = np.array([np.sin(angle), 0.0, np.cos(angle)])
+    left = np.array([-np.cos(angle), 0.0, np.sin(angle)])
+    frame = np.eye(4)
+    frame[:3, :3] = np.stack([left, [0.0, 1.0, 0.0], -backward], axis=1)
+    frame[:3, 3] = backward * distance
+    return frame
+
+
+def camera_dict(optics: OpticsSettings, shape: tuple[int, int]) -> dict[str, Any]:
+    """The camera path as a ``lens_sensor``; ``shape`` is (rows, cols)."""
+    distance = optics.pupil_distance_mm
+    wavelength = optics.wavelength_um * 1e-3 if optics.camera_diffraction else 0.0
+    film = {"type": "hdrfilm", "width": shape[1], "height": shape[0], "pixel_format": "luminance"}
+    return {
+        "type": "lens_sensor",
+        "to_world": mi.ScalarTransform4f(axis_frame(-np.radians(optics.convergence_deg) / 2, distance)),
+        "focal_length_px": optics.camera_focal_px,
+        "focus_distance": distance,
+        "aperture_radius": optics.na * distance if optics.finite_aperture else 0.0,
+        "diffraction_na": optics.na,
+        "wavelength": wavelength,
+        "film": film | {"component_format": "float32", "rfilter": {"type": "box"}},
+    }
+
+
+def projector_dict(optics: OpticsSettings, patterns: np.ndarray) -> dict[str, Any]:
+    """The projector path as a ``lens_projector`` that shows ``patterns``, (N, rows, cols) uint8.
+
+    The mirrors' band limit stays when the aperture is switched off: without it the lattice itself would be projected.
+    """
+    distance = optics.pupil_distance_mm
+    return {
+        "type": "lens_projector",
+        "to_world": mi.ScalarTransform4f(axis_frame(np.radians(optics.convergence_deg) / 2, distance)),
+        "patterns": mi.TensorXf(patterns.astype(np.float32)),
+        "column_pitch": optics.column_pitch_um * 1e-3,
+        "row_pitch": optics.row_pitch_um * 1e-3,
+        "focus_distance": distance,
+        "aperture_radius": optics.na * distance if optics.finite_aperture else 0.0,
+        "diffraction_na": optics.na,
+        "wavelength": optics.wavelength_um * 1e-3,
+        "fill": optics.mirror_fill,
+        "off_state": optics.off_state,
+    }
+
+
+def specimen_dict(parts: Sequence[Part], render: RenderSettings) -> dict[str, mi.Mesh]:
+    """The ``parts``, already in the twin's frame, as meshes with their materials."""
+    return {f"part_{k}": _mesh(f"part_{k}", part, render.diffuse_only) for k, part in enumerate(parts)}
+
+
+def integrator_dict(render: RenderSettings, smooth: bool) -> dict[str, Any]:
+    """The one-pass integrator; ``smooth`` says that the specimen has neither texture nor relief."""
+    return {
+        "type": "fringe",
+        "nodes": render.nodes_smooth if smooth else render.nodes,
+        "bounces": render.bounces,
+    }
+
+
+def _mesh(name: str, part: Part, diffuse_only: bool) -> mi.Mesh:
+    """The one place where meshes are built: the next Mitsuba changes how."""
+    props = mi.Properties()
+    props["bsdf"] = mi.load_dict(_bsdf(MATERIALS[part.material], diffuse_only))
+    smooth = part.normals is not None
+    props["face_normals"] = not smooth
+    mesh = mi.Mesh(name, len(part.vertices), len(part.faces), props=props, has_vertex_normals=smooth)
+    params = mi.traverse(mesh)
+    params["vertex_positions"] = mi.Float(part.vertices.ravel().astype(np.float32))
+    params["faces"] = mi.UInt32(part.faces.ravel().astype(np.uint32))
+    if part.normals is not None:
+        params["vertex_normals"] = mi.Float(part.normals.ravel().astype(np.float32))
+    params.update()
+    return mesh
+
+
+def _bsdf(material: Material, diffuse_only: bool) -> dict[str, Any]:
+    if diffuse_only or isinstance(material, Diffuse):
+        return {"type": "diffuse", "reflectance": material.reflectance}
+    if isinstance(material, RoughConductor):
+        return {
+            "type": "roughconductor",
+            "material": "none",
+            "distribution": "ggx",
+            "alpha": material.alpha,
+            "specular_reflectance": material.reflectance,
+        }
+    return {
+        "type": "roughplastic",
+        "distribution": "ggx",
+        "alpha": material.alpha,
+        "int_ior": material.ior,
+        "diffuse_reflectance": material.reflectance,
+    }

@@ -1,0 +1,108 @@
+"""The ``[twin]`` section of a rig file: every physical effect, its default size, and how to switch it off (size 0)."""
+
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+
+from greenough.instrument.errors import InputError
+from greenough.instrument.rigfile import RigFile, describe_validation_error
+
+_STRICT = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+Size = Annotated[float, Field(ge=0, le=1e4)]
+
+
+class OpticsSettings(BaseModel):
+    """Two ideal off-axis lens paths; all lengths are at the specimen."""
+
+    model_config = _STRICT
+    na: Annotated[float, Field(gt=0, le=0.2)] = 0.015
+    wavelength_um: Annotated[float, Field(gt=0.2, lt=2)] = 0.525
+    convergence_deg: Annotated[float, Field(gt=1, lt=60)] = 12.0
+    pupil_distance_mm: Annotated[float, Field(gt=10, lt=2000)] = 224.56
+    camera_focal_px: Annotated[float, Field(gt=100, lt=1e6)] = 22683.0
+    column_pitch_um: Annotated[float, Field(gt=1, lt=1000)] = 17.835
+    row_pitch_um: Annotated[float, Field(gt=1, lt=1000)] = 8.923
+    finite_aperture: bool = True  # false: pinholes, no defocus
+    camera_diffraction: bool = True
+    mirror_fill: Annotated[float, Field(gt=0.1, le=1)] = 0.92
+    off_state: Annotated[float, Field(ge=0, lt=0.5)] = 0.001
+
+
+class LightSettings(BaseModel):
+    """Electrons per ms that a white Lambertian surface gives a pixel in the middle of the field."""
+
+    model_config = _STRICT
+    white_electrons_per_ms: Annotated[float, Field(gt=0, le=1e6)] = 75.0
+
+
+class CameraSettings(BaseModel):
+    """EMVA 1288 as the camera really is; ``shot_noise`` and the sizes can be switched off one by one."""
+
+    model_config = _STRICT
+    shot_noise: bool = True
+    read_noise_e: Size = 10.0
+    prnu: Annotated[float, Field(ge=0, le=0.2)] = 0.01
+    dsnu_e: Size = 3.0
+
+
+class StageSettings(BaseModel):
+    """Standard deviations over the travel; the axis is fixed against the table."""
+
+    model_config = _STRICT
+    position_sd_um: Size = 3.3
+    straightness_sd_um: Size = 2.0
+    pitch_roll_sd_urad: Size = 100.0
+    axis_sd_deg: Annotated[float, Field(ge=0, le=5)] = 0.2
+
+
+class BoardSettings(BaseModel):
+    """How well the calibration board and the second board are made, see ``greenough.scenes.board.BoardErrors``."""
+
+    model_config = _STRICT
+    print_sd_um: Size = 0.6
+    scale_sd_ppm: Size = 30.0
+    bow_sd_um: Size = 2.0
+    wedge_sd_urad: Size = 50.0
+    ink_thickness_um: Size = 1.0
+
+
+class RenderSettings(BaseModel):
+    """Light paths per pixel for smooth, blank surfaces and for the others, and surface interactions of a path."""
+
+    model_config = _STRICT
+    nodes_smooth: Annotated[int, Field(ge=2, le=65536)] = 16
+    nodes: Annotated[int, Field(ge=2, le=65536)] = 64
+    bounces: Annotated[int, Field(ge=1, le=8)] = 2
+    diffuse_only: bool = False  # every material as a Lambertian one of the same reflectance
+
+    @field_validator("nodes_smooth", "nodes")
+    @classmethod
+    def _power_of_two(cls, value: int) -> int:
+        if value & (value - 1):
+            raise ValueError(f"must be a power of two, not {value}")
+        return value
+
+
+class TwinSettings(BaseModel):
+    """All of ``[twin]``. ``seed`` draws the instrument: its errors, its boards and its postures."""
+
+    model_config = _STRICT
+    seed: Annotated[int, Field(ge=0, le=2**32 - 1)] = 1
+    optics: OpticsSettings = OpticsSettings()
+    light: LightSettings = LightSettings()
+    camera: CameraSettings = CameraSettings()
+    stage: StageSettings = StageSettings()
+    board: BoardSettings = BoardSettings()
+    render: RenderSettings = RenderSettings()
+
+
+def twin_settings(rig_file: RigFile) -> TwinSettings:
+    """The validated ``[twin]`` section of ``rig_file``.
+
+    Raises InputError naming every wrong field with what is allowed there.
+    """
+    try:
+        return TwinSettings.model_validate(rig_file.driver_section("twin"))
+    except ValidationError as error:
+        where = f"section [twin] of rig {rig_file.name}"
+        raise InputError(describe_validation_error(error, where, TwinSettings)) from None

@@ -30,6 +30,9 @@ class SpotFits:
         White minus ink at the centre.
     residual_dn : (n,)
         Root mean square of picture minus model.
+    asymmetry_dn : (n,)
+        Root mean square of the residual's odd part about the centre, scaled to equal ``residual_dn`` for white noise.
+        Blur of another shape than assumed is even and moves no centre; the edge of the light or dirt is not.
     """
 
     centres_px: np.ndarray
@@ -38,16 +41,16 @@ class SpotFits:
     blur_px: np.ndarray
     contrast_dn: np.ndarray
     residual_dn: np.ndarray
+    asymmetry_dn: np.ndarray
 
 
 def fit_spots(image: np.ndarray, centres_px: np.ndarray, axes_px: np.ndarray) -> SpotFits:
     """Fit a blurred ellipse to the window around each spot.
 
-    The model is ``ink + contrast * Φ(-d / blur)``, with d the distance from the ellipse to first order, and ink and
-    contrast each a plane of its own for every spot: light that falls off across the spot changes the levels, not the
-    edge. What remains is that the optics blur light times reflectance and the model multiplies after blurring. For a
-    Gaussian blur h, (x f) * h = x (f * h) + blur² (f * h)', so an edge seen in light of relative gradient g appears
-    shifted by -blur² g; that is put back.
+    The model is ``(1 + g·x) (ink + contrast Φ(-d / blur))``, with d the distance from the ellipse to first order; light
+    of relative gradient g, ink, contrast and blur are each spot's own. What remains is that the optics blur light times
+    reflectance while the model multiplies after blurring. For a Gaussian blur h, (x f) * h = x (f * h) + blur² (f * h)',
+    so an edge in that light appears shifted by -blur² g; that is put back.
 
     Parameters
     ----------
@@ -63,7 +66,7 @@ def fit_spots(image: np.ndarray, centres_px: np.ndarray, axes_px: np.ndarray) ->
     middle = np.rint(centres_px).astype(int)
     rows, cols = image.shape
     fits_in = np.all((middle >= half[:, None]) & (middle < [cols, rows] - half[:, None]), axis=1)
-    result = np.full((count, 8), np.nan)
+    result = np.full((count, 9), np.nan)
     for size in np.unique(half[fits_in]):
         group = np.flatnonzero(fits_in & (half == size))
         result[group] = _fit_windows(image, middle[group], int(size), centres_px[group], axes_px[group])
@@ -73,44 +76,46 @@ def fit_spots(image: np.ndarray, centres_px: np.ndarray, axes_px: np.ndarray) ->
 def _fit_windows(
     image: np.ndarray, middle: np.ndarray, half: int, centres_px: np.ndarray, axes_px: np.ndarray
 ) -> np.ndarray:
-    """Gauss-Newton over windows of one size, all spots at once; (n, 8) columns in the order of SpotFits."""
+    """Gauss-Newton over windows of one size, all spots at once; (n, 9) columns in the order of SpotFits."""
     count = len(middle)
     offset = np.arange(-half, half + 1)
     y, x = (grid.ravel().astype(float) for grid in np.meshgrid(offset, offset, indexing="ij"))  # (pixels,)
     pixels = image[middle[:, 1, None] + y.astype(int), middle[:, 0, None] + x.astype(int)].astype(float)  # (n, pixels)
-    planes = np.stack([np.ones_like(x), x / half, y / half])  # (3, pixels)
+    slopes = np.stack([x, y]) / half  # (2, pixels)
 
-    # Parameters of a spot: centre (2), q_xx, q_xy, q_yy times radius² (3), blur (1), ink plane (3), contrast plane (3).
+    # Parameters of a spot: centre (2), q_xx, q_xy, q_yy times radius² (3), blur, ink, contrast, gradient (2) per half window.
     radius2 = np.square(axes_px).mean(axis=1)
-    parameters = np.zeros((count, 12))
+    parameters = np.zeros((count, 10))
     parameters[:, :2] = centres_px - middle
     parameters[:, [2, 4]] = 1.0
     parameters[:, 5] = _BLUR_START_PX
     low, high = np.percentile(pixels, [10, 90], axis=1)
-    parameters[:, 6], parameters[:, 9] = low, high - low
+    parameters[:, 6], parameters[:, 7] = low, high - low
     for _ in range(_ITERATIONS):
-        model, jacobian = _blurred_ellipse(parameters, radius2, x, y, planes)
+        model, jacobian = _blurred_ellipse(parameters, radius2, x, y, slopes)
         residual = pixels - model
-        normal = jacobian @ jacobian.transpose(0, 2, 1)  # (n, 12, 12)
-        normal[:, range(12), range(12)] *= 1.0 + 1e-9
-        step = np.linalg.solve(normal + 1e-12 * np.eye(12), (jacobian @ residual[..., None]))[..., 0]
+        normal = jacobian @ jacobian.transpose(0, 2, 1)  # (n, 10, 10)
+        normal[:, range(10), range(10)] *= 1.0 + 1e-9
+        step = np.linalg.solve(normal + 1e-12 * np.eye(10), (jacobian @ residual[..., None]))[..., 0]
         parameters += _limited(step)
         parameters[:, 5] = np.clip(parameters[:, 5], 0.3, 0.6 * np.sqrt(radius2))
         if np.abs(step[:, :2]).max() < _CONVERGED_PX:
             break
-    model, jacobian = _blurred_ellipse(parameters, radius2, x, y, planes)
-    variance = np.sum((pixels - model) ** 2, axis=1) / (len(x) - 12)
-    covariance = np.linalg.inv(jacobian @ jacobian.transpose(0, 2, 1) + 1e-12 * np.eye(12))
+    model, jacobian = _blurred_ellipse(parameters, radius2, x, y, slopes)
+    residual = pixels - model
+    variance = np.sum(residual**2, axis=1) / (len(x) - 10)
+    odd = (residual - residual[:, ::-1]) / np.sqrt(2.0)  # (x, y) -> (-x, -y) reverses the window's order
+    covariance = np.linalg.inv(jacobian @ jacobian.transpose(0, 2, 1) + 1e-12 * np.eye(10))
     sigma = np.sqrt(variance * (covariance[:, 0, 0] + covariance[:, 1, 1]) / 2)
 
     q_xx, q_xy, q_yy = parameters[:, 2:5].T / radius2
     mean, spread = (q_xx + q_yy) / 2, np.hypot((q_xx - q_yy) / 2, q_xy)
     with np.errstate(invalid="ignore", divide="ignore"):
         axes = 1.0 / np.sqrt(np.stack([mean - spread, mean + spread], axis=-1))
-    blur, contrast = parameters[:, 5], parameters[:, 9]
-    gradient = parameters[:, 10:12] / (half * contrast[:, None])  # relative, 1/px
+    blur, contrast = parameters[:, 5], parameters[:, 7]
+    gradient = parameters[:, 8:] / half  # relative, 1/px
     centres = middle + parameters[:, :2] + blur[:, None] ** 2 * gradient
-    table = np.column_stack([centres, axes, sigma, blur, contrast, np.sqrt(variance)])
+    table = np.column_stack([centres, axes, sigma, blur, contrast, np.sqrt(variance), np.sqrt(np.mean(odd**2, axis=1))])
     bad = ~np.isfinite(table).all(axis=1) | (np.abs(step[:, :2]).max(axis=1) > 0.01) | (contrast <= 0)
     table[bad] = np.nan
     return table
@@ -118,14 +123,14 @@ def _fit_windows(
 
 def _limited(step: np.ndarray) -> np.ndarray:
     """Keep the first steps inside the region where the linearised edge still means something."""
-    limits = np.array([2.0, 2.0, 0.3, 0.3, 0.3, 0.5] + [np.inf] * 6)
+    limits = np.array([2.0, 2.0, 0.3, 0.3, 0.3, 0.5] + [np.inf] * 4)
     return np.clip(np.nan_to_num(step), -limits, limits)
 
 
 def _blurred_ellipse(
-    parameters: np.ndarray, radius2: np.ndarray, x: np.ndarray, y: np.ndarray, planes: np.ndarray
+    parameters: np.ndarray, radius2: np.ndarray, x: np.ndarray, y: np.ndarray, slopes: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Model (n, pixels) and its derivatives (n, 12, pixels)."""
+    """Model (n, pixels) and its derivatives (n, 10, pixels)."""
     cx, cy, q_xx, q_xy, q_yy, blur = (column[:, None] for column in parameters[:, :6].T)
     dx, dy = x - cx, y - cy
     gx, gy = (q_xx * dx + q_xy * dy) / radius2[:, None], (q_xy * dx + q_yy * dy) / radius2[:, None]
@@ -136,16 +141,19 @@ def _blurred_ellipse(
     scaled = (root - 1.0) * slope / blur
     inside = ndtr(-scaled)
     density = np.exp(-0.5 * scaled**2) / np.sqrt(2.0 * np.pi)
-    ink, contrast = parameters[:, 6:9] @ planes, parameters[:, 9:12] @ planes
-    by_root = -contrast * density * slope / blur  # d model / d root
+    ink, contrast = parameters[:, 6, None], parameters[:, 7, None]
+    light = 1.0 + parameters[:, 8:] @ slopes
+    reflected = ink + contrast * inside
+    by_root = -light * contrast * density * slope / blur  # d model / d root
     by_form = by_root / (2.0 * root * radius2[:, None])
-    jacobian = np.empty((len(parameters), 12, len(x)))
+    jacobian = np.empty((len(parameters), 10, len(x)))
     jacobian[:, 0] = -by_root * gx / root
     jacobian[:, 1] = -by_root * gy / root
     jacobian[:, 2] = by_form * dx * dx
     jacobian[:, 3] = by_form * 2.0 * dx * dy
     jacobian[:, 4] = by_form * dy * dy
-    jacobian[:, 5] = contrast * density * scaled / blur
-    jacobian[:, 6:9] = planes
-    jacobian[:, 9:12] = planes * inside[:, None]
-    return ink + contrast * inside, jacobian
+    jacobian[:, 5] = light * contrast * density * scaled / blur
+    jacobian[:, 6] = light
+    jacobian[:, 7] = light * inside
+    jacobian[:, 8:] = slopes * reflected[:, None]
+    return light * reflected, jacobian

@@ -18,6 +18,7 @@ _REDUCTION = 4  # the local levels vary slowly: they are taken from a picture th
 _LEVEL = 0.45  # between the local dark (0) and bright (1) level
 _MIN_CONTRAST = 0.1  # of the picture's brightest part
 _MISFIT = 0.06  # residual of a fit against its contrast beyond which the spot is no ellipse
+_ASYMMETRY = 0.008  # the same for its odd part, beyond the other spots': this moves the centre
 _SIZE_TOLERANCE = 0.06  # semi-axes against those of the other spots
 _PLACE_TOLERANCE = 0.03  # of a pitch: distance from the homography through all spots (distortion, print)
 
@@ -133,6 +134,8 @@ def _consistent(fits: SpotFits, spot: np.ndarray, board: SpotBoard, noise_dn: fl
     good = np.isfinite(fits.sigma_px)
     with np.errstate(invalid="ignore"):
         good &= fits.residual_dn < np.hypot(2.0 * noise_dn, _MISFIT * fits.contrast_dn)
+        typical = np.median(fits.asymmetry_dn[good]) if good.any() else np.nan
+        good &= fits.asymmetry_dn < np.hypot(1.1 * typical, _ASYMMETRY * fits.contrast_dn)
     nominal, radii = board.centres()[spot], board.diameters()[spot] / 2
     for _ in range(2):
         if good.sum() < MIN_SPOTS:

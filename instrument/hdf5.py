@@ -70,7 +70,7 @@ def put(file: h5py.File, name: str, values: np.ndarray | str, units: str) -> Non
     if isinstance(values, str):
         dataset = file.create_dataset(name, data=values, dtype=h5py.string_dtype())
     else:
-        values = np.ascontiguousarray(values)
+        values = np.asarray(values, order="C")
         dataset = file.create_dataset(name, data=values)
     dataset.attrs["units"] = units
     dataset.attrs["sha256"] = _digest(values, units)
@@ -105,7 +105,7 @@ def _verified(file: h5py.File, name: str) -> np.ndarray | str:
     try:
         dataset = file[name]
         values = dataset[()]
-        values = values.decode() if isinstance(values, bytes) else np.ascontiguousarray(values)
+        values = values.decode() if isinstance(values, bytes) else np.asarray(values, order="C")
         intact = dataset.attrs["sha256"] == _digest(values, dataset.attrs["units"])
     except _UNREADABLE:
         raise InputError(f"{file.filename} is damaged: {name} is missing or cannot be read.") from None
@@ -120,7 +120,7 @@ def _digest(values: np.ndarray | str, units: str) -> str:
         digest.update(values.encode())
     else:
         digest = hashlib.sha256(f"{values.dtype.str} {values.shape} {units} ".encode())
-        digest.update(values.view(np.uint8).data if values.size else b"")
+        digest.update(values.reshape(-1).view(np.uint8).data)
     return digest.hexdigest()
 
 

@@ -392,7 +392,8 @@ def _range(node: dict[str, Any]) -> str:
     low, above = node.get("minimum"), node.get("exclusiveMinimum")
     high, below = node.get("maximum"), node.get("exclusiveMaximum")
     start = f" from {low:g}" if low is not None else f" above {above:g}" if above is not None else ""
-    end = f"to {high:g}" if high is not None else f"below {below:g}" if below is not None else ""
-    if above is not None and high is not None:
-        end = f"up to {high:g}"
-    return f"{start} {end}".rstrip() if start or end else ""
+    if high is None and below is None:
+        return start
+    end = f"below {below:g}" if high is None else f"{high:g}"
+    joint = " to " if low is not None else " up to " if high is not None else " and " if start else " "
+    return start + joint + end

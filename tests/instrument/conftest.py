@@ -106,7 +106,7 @@ class FakeRig:
         self.entered = False
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def fake_rig() -> type[FakeRig]:
     return FakeRig
 

@@ -12,7 +12,7 @@ from greenough.instrument.errors import InputError
 from .parts import Part, Specimen
 from .triangulation import grid_faces, grid_points, ring_angles, ring_faces
 
-_EDGE_MM = 0.0085  # length of a facet's sides; the sagitta over it is below 0.1 µm on the smallest ball
+_EDGE_MM = 0.009  # length of a facet's sides; the sagitta over it is below 0.1 µm on the smallest ball
 
 
 @dataclass(frozen=True)
@@ -64,9 +64,15 @@ def bga(
     Raises
     ------
     InputError
-        If a missing or low ball is not on the grid, or a low one would be left with its centre under the substrate
-        by more than half its radius.
+        If a missing or low ball is not on the grid, a low one would rise above the substrate by less than half its
+        radius, or the tolerances allow a ball that is higher than its diameter.
     """
+    highest, smallest = nominal.height + nominal.height_tolerance, nominal.diameter - nominal.diameter_tolerance
+    if highest > smallest + 1e-9:
+        raise InputError(
+            f"the BGA's drawing allows balls {highest:g} mm high of only {smallest:g} mm diameter, which would float; "
+            "lower the height or its tolerance."
+        )
     low = {} if low is None else low
     for row, col in [*missing, *low]:
         if not (0 <= row < nominal.rows and 0 <= col < nominal.cols):

@@ -20,10 +20,12 @@ SPAN_MM = 0.3
 LETTER_HEIGHT_MM = 1.5
 
 _TEXT = (("GREEN", 0.75), ("1892", -1.65))  # lines with the height of their feet
-_ADVANCE_MM = 1.62  # from one letter to the next
+_ADVANCE_MM = 1.68  # from one letter to the next
 _CORE_MM = 0.07  # half the width of a letter's flat top
 _RIM_CORE_MM = 0.25
-_BEVEL_MM = 0.24
+_BEVEL_MM = 0.25
+_BLEND_MM = 0.16  # strokes meet with about this radius
+_FAR_MM = 1e3
 _RIM = Arc((0.0, 8.6), 11.5, -130, 80)
 _STEP_MM = 0.008
 _TILT_AZIMUTH = np.deg2rad(30.0)  # direction that rises
@@ -67,20 +69,37 @@ def relief(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     gradient : (rows, cols, 2) float64
         (d/dx, d/dy).
     """
-    # Union of the strokes' profiles s: 1 - prod(1 - s), which is as smooth as the profiles themselves.
-    ground = np.ones((len(y), len(x)))
-    slope = np.zeros((len(y), len(x), 2))
+    distance = np.full((len(y), len(x)), _FAR_MM)
+    direction = np.zeros((len(y), len(x), 2))
     for stroke, core in _strokes():
-        low, high = bounds(stroke) + (core + _BEVEL_MM) * np.array([[-1], [1]])
+        # Further out the stroke can no longer lift anything, even blended with two others.
+        low, high = bounds(stroke) + (core + _BEVEL_MM + 2 * _BLEND_MM) * np.array([[-1], [1]])
         window = (
             slice(*np.searchsorted(y, [low[1], high[1]])),
             slice(*np.searchsorted(x, [low[0], high[0]])),
         )
-        xy = np.stack(np.meshgrid(x[window[1]], y[window[0]]), axis=-1)
-        profile, profile_slope = _profile(offset_from(stroke, xy), core)
-        slope[window] = slope[window] * (1 - profile[..., None]) - ground[window][..., None] * profile_slope
-        ground[window] *= 1 - profile
-    return RELIEF_MM * (1 - ground), -RELIEF_MM * slope
+        offset = offset_from(stroke, np.stack(np.meshgrid(x[window[1]], y[window[0]]), axis=-1))
+        length = np.linalg.norm(offset, axis=-1)
+        unit = offset / np.maximum(length, np.finfo(float).tiny)[..., None]
+        distance[window], direction[window] = _blended(distance[window], direction[window], length - core, unit)
+
+    phase = np.pi * np.clip(distance / _BEVEL_MM, 0, 1)
+    by_distance = -RELIEF_MM * np.pi / (2 * _BEVEL_MM) * np.sin(phase)
+    return RELIEF_MM * (1 + np.cos(phase)) / 2, by_distance[..., None] * direction
+
+
+def _blended(
+    first: np.ndarray, first_gradient: np.ndarray, second: np.ndarray, second_gradient: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The smaller of two distances (...), with gradients (..., 2), rounded where they differ by less than the blend.
+
+    min(a, b) - k m² / 4 with m = max(0, 1 - |a - b| / k): continuous with its gradient, which is a weighted mean of
+    both, so no bevel gets steeper.
+    """
+    mix = np.maximum(0.0, 1 - np.abs(first - second) / _BLEND_MM)
+    weight = np.where(first < second, mix / 2, 1 - mix / 2)[..., None]  # of the second
+    gradient = (1 - weight) * first_gradient + weight * second_gradient
+    return np.minimum(first, second) - _BLEND_MM / 4 * mix**2, gradient
 
 
 def _strokes() -> Sequence[tuple[Stroke, float]]:
@@ -92,15 +111,6 @@ def _strokes() -> Sequence[tuple[Stroke, float]]:
             for stroke in GLYPHS[letter]:
                 strokes.append((placed(stroke, LETTER_HEIGHT_MM, start + index * _ADVANCE_MM, foot), _CORE_MM))
     return strokes
-
-
-def _profile(offset: np.ndarray, core: float) -> tuple[np.ndarray, np.ndarray]:
-    """Height (...), from 0 to 1, at ``offset`` (..., 2) from a stroke, and its gradient (..., 2)."""
-    distance = np.linalg.norm(offset, axis=-1)
-    phase = np.pi * np.clip((distance - core) / _BEVEL_MM, 0, 1)
-    by_distance = -np.pi / (2 * _BEVEL_MM) * np.sin(phase)
-    direction = offset / np.maximum(distance, np.finfo(float).tiny)[..., None]
-    return (1 + np.cos(phase)) / 2, by_distance[..., None] * direction
 
 
 def _tilt(angle: float) -> np.ndarray:

@@ -14,7 +14,7 @@ WHITE_DN = 110.0
 INK = 0.1
 
 # fx, fy, skew, cx, cy, k1, k2, p1, p2: near the paper's Table 2, with distortion of some tenths of a pixel.
-INTRINSICS = (22683.0, 22700.0, -1.0, 645.0, 470.0, -9.0, 0.0, -0.004, 0.003)
+INTRINSICS = (22683.0, 22700.0, -1.0, 645.0, 470.0, -1.0, 0.0, -0.004, 0.003)
 
 
 @dataclass(frozen=True)

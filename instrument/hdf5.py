@@ -2,6 +2,10 @@
 
 Any change of a dataset's values, type, shape or units is noticed when it is read. A file that is damaged, truncated or
 foreign is refused with one sentence.
+
+Files are written in the format of HDF5 1.10, whose structures carry checksums of their own, and without strings of
+variable length, which lie outside of them: the older format lets damage crash the library. So text is an array of its
+UTF-8 bytes.
 """
 
 import hashlib
@@ -28,8 +32,8 @@ def create(path: str | Path, kind: str, version: int) -> Iterator[h5py.File]:
     InputError
         When nothing can be written at ``path``.
     """
-    with atomic_path(path) as temporary, h5py.File(temporary, "w") as file:
-        file.attrs["kind"] = kind
+    with atomic_path(path) as temporary, h5py.File(temporary, "w", libver=("v110", "v110")) as file:
+        file.attrs["kind"] = np.bytes_(kind)
         file.attrs["version"] = version
         yield file
 
@@ -58,22 +62,22 @@ def read(path: str | Path, kind: str, version: int) -> Iterator[h5py.File]:
             found, found_version = file.attrs.get("kind"), file.attrs.get("version")
         except _UNREADABLE:
             raise InputError(f"{path} is damaged: its header cannot be read.") from None
+        found = found.decode(errors="replace") if isinstance(found, bytes) else None
         if found != kind:
-            raise InputError(f"{path} is not a {kind}" + (f" but a {found}." if isinstance(found, str) else "."))
+            raise InputError(f"{path} is not a {kind}" + (f" but a {found}." if found else "."))
         if found_version != version:
             raise InputError(f"{path} is a {kind} of version {found_version}; this program reads version {version}.")
         yield file
 
 
 def put(file: h5py.File, name: str, values: np.ndarray | str, units: str) -> None:
-    """Write one dataset with its units ("1" for numbers without) and checksum. Text is stored as UTF-8."""
+    """Write one dataset with its units ("1" for numbers without) and checksum."""
     if isinstance(values, str):
-        dataset = file.create_dataset(name, data=values, dtype=h5py.string_dtype())
-    else:
-        values = np.asarray(values, order="C")
-        dataset = file.create_dataset(name, data=values)
-    dataset.attrs["units"] = units
-    dataset.attrs["sha256"] = _digest(values, units)
+        values = np.frombuffer(values.encode(), np.uint8)
+    values = np.asarray(values, order="C")
+    dataset = file.create_dataset(name, data=values)
+    dataset.attrs["units"] = np.bytes_(units)
+    dataset.attrs["sha256"] = np.bytes_(_digest(values, units))
 
 
 def get(file: h5py.File, name: str) -> np.ndarray:
@@ -84,7 +88,15 @@ def get(file: h5py.File, name: str) -> np.ndarray:
     InputError
         When it is missing or damaged.
     """
-    return np.asarray(_verified(file, name))
+    try:
+        dataset = file[name]
+        values = np.asarray(dataset[()], order="C")
+        intact = dataset.attrs["sha256"].decode() == _digest(values, dataset.attrs["units"].decode())
+    except _UNREADABLE:
+        raise InputError(f"{file.filename} is damaged: {name} is missing or cannot be read.") from None
+    if not intact:
+        raise InputError(f"{file.filename} is damaged: the checksum of {name} is wrong.")
+    return values
 
 
 def get_text(file: h5py.File, name: str) -> str:
@@ -95,32 +107,12 @@ def get_text(file: h5py.File, name: str) -> str:
     InputError
         When it is missing or damaged.
     """
-    values = _verified(file, name)
-    if not isinstance(values, str):
-        raise InputError(f"{file.filename} is damaged: {name} should be text.")
-    return values
+    return get(file, name).tobytes().decode()
 
 
-def _verified(file: h5py.File, name: str) -> np.ndarray | str:
-    try:
-        dataset = file[name]
-        values = dataset[()]
-        values = values.decode() if isinstance(values, bytes) else np.asarray(values, order="C")
-        intact = dataset.attrs["sha256"] == _digest(values, dataset.attrs["units"])
-    except _UNREADABLE:
-        raise InputError(f"{file.filename} is damaged: {name} is missing or cannot be read.") from None
-    if not intact:
-        raise InputError(f"{file.filename} is damaged: the checksum of {name} is wrong.")
-    return values
-
-
-def _digest(values: np.ndarray | str, units: str) -> str:
-    if isinstance(values, str):
-        digest = hashlib.sha256(f"text {units} ".encode())
-        digest.update(values.encode())
-    else:
-        digest = hashlib.sha256(f"{values.dtype.str} {values.shape} {units} ".encode())
-        digest.update(values.reshape(-1).view(np.uint8).data)
+def _digest(values: np.ndarray, units: str) -> str:
+    digest = hashlib.sha256(f"{values.dtype.str} {values.shape} {units} ".encode())
+    digest.update(values.reshape(-1).view(np.uint8).data)
     return digest.hexdigest()
 
 

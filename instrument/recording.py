@@ -68,7 +68,7 @@ class _Tape:
         self.placement: Placement | None = None
         self.target_mm = self.reported_mm = description.stage_position_mm
         self.target_us = description.exposure_us
-        hdf5.put(file, "rig", to_json(description), units="JSON")
+        hdf5.put(file, "rig", to_json(description), units="UTF-8 JSON")
 
     def placed(self, placement: Placement) -> None:
         self.placement = placement
@@ -104,7 +104,7 @@ class _Tape:
         )
 
     def finish(self) -> None:
-        hdf5.put(self.file, "journal", to_json(self.events), units="JSON")
+        hdf5.put(self.file, "journal", to_json(self.events), units="UTF-8 JSON")
 
 
 class _RecordedRig:

@@ -13,13 +13,13 @@ def test_a_recording_names_its_units_and_carries_checksums(tmp_path: Path, fake_
     with record(fake_rig(), tmp_path / "rig.h5") as rig:
         rig.capture(patterns)
     with h5py.File(tmp_path / "rig.h5") as file:
-        assert file["captures/000000/stack"].attrs["units"] == "DN"
-        assert file["captures/000000/times_s"].attrs["units"] == "s"
+        assert file["captures/000000/stack"].attrs["units"] == b"DN"
+        assert file["captures/000000/times_s"].attrs["units"] == b"s"
         found = []
         file.visititems(lambda name, item: found.append(item) if isinstance(item, h5py.Dataset) else None)
         assert len(found) == 5
         for dataset in found:
-            assert len(bytes.fromhex(dataset.attrs["sha256"])) == 32
+            assert len(bytes.fromhex(dataset.attrs["sha256"].decode())) == 32
 
 
 def test_nothing_is_at_the_path_before_the_clean_end(tmp_path: Path, fake_rig, patterns) -> None:

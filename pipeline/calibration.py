@@ -1,32 +1,29 @@
 """A profilometer's calibration, and the file that keeps it."""
 
-import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
+from greenough.instrument import hdf5
 from greenough.instrument.contract import Procedure, RigIdentity, SpotBoard
 from greenough.instrument.errors import InputError
-from greenough.instrument.files import atomic_path
 
 from .camera_model import CameraModel
 from .fringes import FringeSet
 from .phase_height import PhaseHeight
 
-SCHEMA = "greenough calibration"
-SCHEMA_VERSION = 1
+KIND = "greenough calibration"
+VERSION = 1
 
-_UNITS = {
-    "camera_from_world": "mm (translation)",
-    "phase_height/coefficients": "m1 mm, m0 mm, n1 1, r3 mm^-2",
-    "phase_height/phase_centre": "rad",
-    "phase_height/phase_half_range": "rad",
-    "phase_height/z_range": "mm",
-    "phase_height/valid": "",
+_PHASE_HEIGHT_UNITS = {
+    "coefficients": "m1 mm, m0 mm, n1 1, r3 mm^-2",
+    "phase_centre": "rad",
+    "phase_half_range": "rad",
+    "z_range": "mm",
+    "valid": "1",
 }
 
 
@@ -96,35 +93,20 @@ class Calibration:
 
         The file appears whole or not at all.
         """
-        relation = self.phase_height
-        arrays = {
-            "camera_from_world": np.asarray(self.camera_from_world, dtype=np.float64),
-            "phase_height/coefficients": relation.coefficients,
-            "phase_height/phase_centre": relation.phase_centre,
-            "phase_height/phase_half_range": relation.phase_half_range,
-            "phase_height/z_range": relation.z_range,
-            "phase_height/valid": relation.valid,
+        document = {
+            "camera": asdict(self.camera),
+            "identity": asdict(self.identity),
+            "board": asdict(self.board),
+            "procedure": asdict(self.procedure),
+            "run": self.run,
+            "exposures": self.exposures,
+            "figures": dict(self.figures),
         }
-        document = json.dumps(
-            {
-                "camera": asdict(self.camera),
-                "identity": asdict(self.identity),
-                "board": asdict(self.board),
-                "procedure": asdict(self.procedure),
-                "run": self.run,
-                "exposures": self.exposures,
-                "figures": dict(self.figures),
-            }
-        )
-        with atomic_path(path) as temporary, h5py.File(temporary, "w") as file:
-            file.attrs["schema"] = SCHEMA
-            file.attrs["schema_version"] = SCHEMA_VERSION
-            file.attrs["document"] = document
-            file.attrs["document_sha256"] = _sha256(document.encode())
-            for name, array in arrays.items():
-                dataset = file.create_dataset(name, data=array)
-                dataset.attrs["unit"] = _UNITS[name]
-                dataset.attrs["sha256"] = _sha256(np.ascontiguousarray(array).data)
+        with hdf5.create(path, KIND, VERSION) as file:
+            hdf5.put(file, "document", json.dumps(document), "UTF-8 JSON")
+            hdf5.put(file, "camera_from_world", self.camera_from_world, "1, translation mm")
+            for name, units in _PHASE_HEIGHT_UNITS.items():
+                hdf5.put(file, f"phase_height/{name}", getattr(self.phase_height, name), units)
 
     @classmethod
     def load(cls, path: str | Path) -> "Calibration":
@@ -133,64 +115,32 @@ class Calibration:
         Raises
         ------
         InputError
-            If the file is missing, truncated, damaged, foreign, or of another schema version.
+            If the file is missing, truncated, damaged, foreign, or of another version.
         """
-        path = Path(path)
-        if not path.is_file():
-            raise InputError(f"there is no calibration file {path}: make one with `greenough calibrate`")
-        try:
-            with h5py.File(path, "r") as file:
-                return cls._read(file, path)
-        except (OSError, KeyError, TypeError, RuntimeError, json.JSONDecodeError) as error:
-            raise InputError(
-                f"the calibration file {path} is damaged or truncated ({error}): calibrate again"
-            ) from None
-
-    @classmethod
-    def _read(cls, file: h5py.File, path: Path) -> "Calibration":
-        if file.attrs.get("schema") != SCHEMA:
-            raise InputError(f"{path} is an HDF5 file, but no calibration: name a file of `greenough calibrate`")
-        version = int(file.attrs["schema_version"])
-        if version != SCHEMA_VERSION:
-            raise InputError(
-                f"the calibration file {path} has schema version {version}, this program reads {SCHEMA_VERSION}: "
-                "calibrate again"
+        with hdf5.read(path, KIND, VERSION) as file:
+            document = json.loads(hdf5.get_text(file, "document"), object_hook=_with_tuples)
+            return cls(
+                camera=CameraModel(**document["camera"]),
+                camera_from_world=hdf5.get(file, "camera_from_world"),
+                phase_height=PhaseHeight(
+                    **{name: hdf5.get(file, f"phase_height/{name}") for name in _PHASE_HEIGHT_UNITS}
+                ),
+                identity=RigIdentity(**document["identity"]),
+                board=SpotBoard(**document["board"]),
+                procedure=Procedure(**document["procedure"]),
+                run=document["run"],
+                exposures=document["exposures"],
+                figures=document["figures"],
             )
-        text = str(file.attrs["document"])
-        if _sha256(text.encode()) != file.attrs["document_sha256"]:
-            raise InputError(f"the calibration file {path} is damaged (document): calibrate again")
-        arrays = {}
-        for name in _UNITS:
-            arrays[name] = array = file[name][()]
-            if _sha256(np.ascontiguousarray(array).data) != file[name].attrs["sha256"]:
-                raise InputError(f"the calibration file {path} is damaged ({name}): calibrate again")
-        document = json.loads(text)
-        camera = document["camera"] | {"shape": tuple(document["camera"]["shape"])}
-        board = document["board"] | {"big": tuple(tuple(index) for index in document["board"]["big"])}
-        procedure = {
-            name: tuple(value) if isinstance(value, list) else value for name, value in document["procedure"].items()
-        }
-        return cls(
-            camera=CameraModel(**camera),
-            camera_from_world=arrays["camera_from_world"],
-            phase_height=PhaseHeight(
-                coefficients=arrays["phase_height/coefficients"],
-                phase_centre=arrays["phase_height/phase_centre"],
-                phase_half_range=arrays["phase_height/phase_half_range"],
-                z_range=arrays["phase_height/z_range"],
-                valid=arrays["phase_height/valid"],
-            ),
-            identity=RigIdentity(**document["identity"]),
-            board=SpotBoard(**board),
-            procedure=Procedure(**procedure),
-            run=document["run"],
-            exposures=document["exposures"],
-            figures=document["figures"],
-        )
 
 
-def _sha256(data: bytes | memoryview) -> str:
-    return hashlib.sha256(data).hexdigest()
+def _with_tuples(entries: dict[str, Any]) -> dict[str, Any]:
+    """JSON has lists only; the dataclasses hold tuples."""
+
+    def frozen(value: Any) -> Any:
+        return tuple(frozen(item) for item in value) if isinstance(value, list) else value
+
+    return {name: frozen(value) for name, value in entries.items()}
 
 
 def _size(shape: tuple[int, ...]) -> str:

@@ -1,0 +1,130 @@
+from dataclasses import replace
+
+import h5py
+import numpy as np
+import pytest
+from greenough.instrument.contract import Procedure, RigIdentity, SpotBoard
+from greenough.instrument.errors import InputError
+from greenough.pipeline.calibration import Calibration
+from greenough.pipeline.camera_model import CameraModel
+from greenough.pipeline.phase_height import PhaseHeight
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+IDENTITY = RigIdentity("bench 3", "camera 17", "projector 4", "ab" * 32)
+
+
+def some_calibration(rows=12, cols=16):
+    rng = np.random.default_rng(1)
+    valid = rng.random((rows, cols)) < 0.9
+    return Calibration(
+        camera=CameraModel(22683.0, 22690.0, -0.9, 633.0, 520.0, -0.09, 0.02, 1e-3, -2e-3, (rows, cols)),
+        camera_from_world=np.vstack([np.hstack([np.diag([1.0, -1, -1]), [[0.1], [0.2], [224.0]]]), [0, 0, 0, 1]]),
+        phase_height=PhaseHeight(
+            coefficients=rng.normal(size=(rows, cols, 4)).astype(np.float32),
+            phase_centre=rng.normal(size=(rows, cols)).astype(np.float32),
+            phase_half_range=rng.uniform(8, 9, size=(rows, cols)).astype(np.float32),
+            z_range=np.tile(np.float32([-1.45, 1.45]), (rows, cols, 1)),
+            valid=valid,
+        ),
+        identity=IDENTITY,
+        board=SpotBoard(9, 11, 0.65, 0.4, 0.175, 8.0, ((4, 5), (4, 6), (3, 5))),
+        procedure=Procedure((608.0, 152.0, 40.0, 12.0), (4, 4, 4, 12), 16, 30, 0.1, 0.8, (4.0, 1.0)),
+        run="monday",
+        exposures=1104,
+        figures={"reprojection_rmse_u_px": 0.07, "postures_without_board": (3,)},
+    )
+
+
+def test_a_calibration_comes_back_whole(tmp_path):
+    calibration = some_calibration()
+    calibration.save(tmp_path / "cal.h5")
+    back = Calibration.load(tmp_path / "cal.h5")
+    for name in ("camera", "identity", "board", "procedure", "run", "exposures", "figures"):
+        assert getattr(back, name) == getattr(calibration, name)
+    np.testing.assert_array_equal(back.camera_from_world, calibration.camera_from_world)
+    for name in ("coefficients", "phase_centre", "phase_half_range", "z_range", "valid"):
+        stored, original = getattr(back.phase_height, name), getattr(calibration.phase_height, name)
+        np.testing.assert_array_equal(stored, original)
+        assert stored.dtype == original.dtype
+
+
+def test_every_array_in_the_file_states_its_unit(tmp_path):
+    some_calibration().save(tmp_path / "cal.h5")
+    arrays = []
+    with h5py.File(tmp_path / "cal.h5") as file:
+        file.visititems(lambda name, item: arrays.append("units" in item.attrs) if hasattr(item, "shape") else None)
+    assert arrays
+    assert all(arrays)
+
+
+def test_saving_leaves_nothing_else_in_the_folder(tmp_path):
+    some_calibration().save(tmp_path / "cal.h5")
+    some_calibration().save(tmp_path / "cal.h5")
+    assert [path.name for path in tmp_path.iterdir()] == ["cal.h5"]
+
+
+@settings(max_examples=40, deadline=None)
+@given(share=st.floats(0, 0.999))
+def test_a_truncated_file_is_refused_wherever_it_was_cut(tmp_path_factory, share):
+    path = tmp_path_factory.mktemp("cut") / "cal.h5"
+    some_calibration().save(path)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: int(share * len(whole))])
+    with pytest.raises(InputError, match=r"cal\.h5"):
+        Calibration.load(path)
+
+
+@settings(max_examples=40, deadline=None)
+@given(pixel=st.integers(0, 12 * 16 - 1), bit=st.integers(0, 31))
+def test_a_flipped_bit_in_an_array_is_noticed(tmp_path_factory, pixel, bit):
+    path = tmp_path_factory.mktemp("flip") / "cal.h5"
+    some_calibration().save(path)
+    with h5py.File(path, "r+") as file:
+        values = file["phase_height/phase_centre"][()]
+        values.view(np.uint32).ravel()[pixel] ^= np.uint32(1 << bit)
+        file["phase_height/phase_centre"][()] = values
+    with pytest.raises(InputError, match="checksum of phase_height/phase_centre"):
+        Calibration.load(path)
+
+
+def test_a_changed_number_in_the_document_is_noticed(tmp_path):
+    path = tmp_path / "cal.h5"
+    some_calibration().save(path)
+    with h5py.File(path, "r+") as file:
+        text = file["document"][()].tobytes().replace(b"22683", b"22684")
+        file["document"][()] = np.frombuffer(text, np.uint8)
+    with pytest.raises(InputError, match="checksum of document"):
+        Calibration.load(path)
+
+
+def test_foreign_files_are_refused_by_what_they_are(tmp_path):
+    with pytest.raises(InputError, match="there is no greenough calibration"):
+        Calibration.load(tmp_path / "missing.h5")
+    (tmp_path / "text.h5").write_text("not HDF5")
+    with pytest.raises(InputError, match="not a greenough calibration: it is not HDF5"):
+        Calibration.load(tmp_path / "text.h5")
+    with h5py.File(tmp_path / "other.h5", "w") as file:
+        file["image"] = np.zeros(3)
+    with pytest.raises(InputError, match="not a greenough calibration"):
+        Calibration.load(tmp_path / "other.h5")
+    some_calibration().save(tmp_path / "future.h5")
+    with h5py.File(tmp_path / "future.h5", "r+") as file:
+        file.attrs["version"] = 99
+    with pytest.raises(InputError, match="version 99; this program reads version 1"):
+        Calibration.load(tmp_path / "future.h5")
+
+
+def test_another_camera_size_is_refused_with_both_sizes():
+    with pytest.raises(InputError, match="camera of 16 x 12 pixels, the picture has 20 x 10"):
+        some_calibration().check_fits(IDENTITY, (10, 20))
+
+
+@pytest.mark.parametrize("what", ["name", "camera_serial", "projector_serial"])
+def test_another_rig_is_refused_with_what_differs(what):
+    with pytest.raises(InputError, match=f"{what.replace('_', ' ')} is .* this rig's is 'other'"):
+        some_calibration().check_fits(replace(IDENTITY, **{what: "other"}), (12, 16))
+
+
+def test_other_settings_of_the_same_rig_are_no_reason_to_refuse():
+    some_calibration().check_fits(replace(IDENTITY, settings_sha256="cd" * 32), (12, 16))

@@ -1,0 +1,137 @@
+import numpy as np
+import pytest
+import trimesh
+from greenough.instrument.errors import InputError
+from greenough.pipeline.point_cloud import Mesh, PointCloud, read_cloud, read_mesh, write_cloud, write_mesh
+from greenough.pipeline.reconstruct import PointMap
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+
+def some_cloud(n=50):
+    rng = np.random.default_rng(3)
+    return PointCloud(
+        xyz=rng.normal(size=(n, 3)),
+        pixels=rng.integers(0, 1280, (n, 2)).astype(np.int32),
+        smooth=rng.random(n) < 0.5,
+        facts={"lit_and_seen": "60", "filter": "none"},
+    )
+
+
+def tetrahedron():
+    vertices = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1 / 3]])
+    return Mesh(vertices, np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]], dtype=np.int32))
+
+
+def test_a_cloud_comes_back_bit_by_bit(tmp_path):
+    cloud = some_cloud()
+    write_cloud(tmp_path / "cloud.ply", cloud)
+    back = read_cloud(tmp_path / "cloud.ply")
+    np.testing.assert_array_equal(back.xyz, cloud.xyz)
+    np.testing.assert_array_equal(back.pixels, cloud.pixels)
+    np.testing.assert_array_equal(back.smooth, cloud.smooth)
+    assert back.facts == cloud.facts
+
+
+def test_another_program_reads_our_cloud(tmp_path):
+    cloud = some_cloud()
+    write_cloud(tmp_path / "cloud.ply", cloud)
+    loaded = trimesh.load(tmp_path / "cloud.ply")
+    np.testing.assert_array_equal(loaded.vertices, cloud.xyz)
+
+
+def test_another_program_reads_our_mesh(tmp_path):
+    write_mesh(tmp_path / "mesh.ply", tetrahedron(), {"specimen": "tetrahedron"})
+    loaded = trimesh.load(tmp_path / "mesh.ply", process=False)
+    np.testing.assert_array_equal(loaded.vertices, tetrahedron().vertices)
+    assert loaded.volume == pytest.approx(1 / 18)  # signed: the faces kept their orientation
+
+
+@pytest.mark.parametrize("suffix", ["ply", "stl", "obj", "ascii.ply", "binary.ply"])
+def test_meshes_of_other_programs_are_read(tmp_path, suffix):
+    path = tmp_path / f"mesh.{suffix}"
+    mesh = trimesh.Trimesh(tetrahedron().vertices, tetrahedron().faces)
+    if suffix == "ascii.ply":
+        path.write_bytes(trimesh.exchange.ply.export_ply(mesh, encoding="ascii"))
+    elif suffix == "ply":
+        write_mesh(path, tetrahedron())
+    else:
+        mesh.export(path)
+    back = read_mesh(path)
+    triangles = back.vertices[back.faces]
+    assert np.einsum("nk,nk->", triangles[:, 0], np.cross(triangles[:, 1], triangles[:, 2])) / 6 == pytest.approx(
+        1 / 18
+    )
+
+
+def test_polygons_are_read_as_triangles(tmp_path):
+    corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype="<f4")
+    header = (
+        "ply\nformat binary_little_endian 1.0\nelement vertex 4\nproperty float x\nproperty float y\n"
+        "property float z\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    face = b"\x04" + np.arange(4, dtype="<i4").tobytes()
+    (tmp_path / "quad.ply").write_bytes(header.encode() + corners.tobytes() + face)
+    mesh = read_mesh(tmp_path / "quad.ply")
+    assert len(mesh.faces) == 2
+
+
+def test_only_valid_points_of_a_map_are_kept_with_their_pixels():
+    xyz = np.arange(24.0).reshape(2, 4, 3)
+    xyz[1, 2] = np.nan
+    cloud = PointCloud.from_point_map(PointMap(xyz), smooth=np.eye(2, 4, dtype=bool), facts={"run": 3})
+    assert len(cloud.xyz) == 7
+    np.testing.assert_array_equal(cloud.xyz, xyz[cloud.pixels[:, 0], cloud.pixels[:, 1]])
+    assert cloud.smooth is not None
+    np.testing.assert_array_equal(cloud.pixels[cloud.smooth], [[0, 0], [1, 1]])
+    assert cloud.facts == {"run": "3"}
+
+
+@settings(max_examples=40, deadline=None)
+@given(share=st.floats(0, 0.999))
+def test_a_truncated_file_is_refused_wherever_it_was_cut(tmp_path_factory, share):
+    folder = tmp_path_factory.mktemp("cut")
+    for name, write, read in (
+        ("cloud.ply", lambda path: write_cloud(path, some_cloud()), read_cloud),
+        ("mesh.ply", lambda path: write_mesh(path, tetrahedron()), read_mesh),
+    ):
+        path = folder / name
+        write(path)
+        whole = path.read_bytes()
+        path.write_bytes(whole[: int(len(whole) * share)])
+        with pytest.raises(InputError, match=name):
+            read(path)
+
+
+@pytest.mark.parametrize(
+    ("mesh", "reason"),
+    [
+        (Mesh(tetrahedron().vertices, np.empty((0, 3), dtype=np.int32)), "no faces"),
+        (Mesh(np.full((4, 3), np.nan), tetrahedron().faces), "not finite"),
+        (Mesh(tetrahedron().vertices, tetrahedron().faces + 1), "vertices it does not have"),
+    ],
+)
+def test_meshes_that_are_no_surface_are_refused(tmp_path, mesh, reason):
+    write_mesh(tmp_path / "mesh.ply", mesh)
+    with pytest.raises(InputError, match=reason):
+        read_mesh(tmp_path / "mesh.ply")
+
+
+@pytest.mark.parametrize("name", ["text.ply", "text.stl", "text.obj", "text.xyz"])
+def test_a_foreign_file_is_refused(tmp_path, name):
+    (tmp_path / name).write_text("no mesh at all\n")
+    with pytest.raises(InputError, match=name):
+        read_mesh(tmp_path / name)
+
+
+def test_a_missing_file_is_refused(tmp_path):
+    with pytest.raises(InputError, match="nowhere"):
+        read_cloud(tmp_path / "nowhere.ply")
+    with pytest.raises(InputError, match="nowhere"):
+        read_mesh(tmp_path / "nowhere.stl")
+
+
+def test_a_cloud_without_points_is_refused(tmp_path):
+    write_cloud(tmp_path / "empty.ply", PointCloud(np.full((3, 3), np.nan)))
+    with pytest.raises(InputError, match="no points"):
+        read_cloud(tmp_path / "empty.ply")

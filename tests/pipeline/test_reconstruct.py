@@ -1,0 +1,118 @@
+import numpy as np
+import pytest
+from greenough.instrument.contract import Procedure, RigIdentity, SpotBoard
+from greenough.instrument.errors import InputError
+from greenough.pipeline.calibration import Calibration
+from greenough.pipeline.camera_model import CameraModel
+from greenough.pipeline.decode import PhaseMap
+from greenough.pipeline.phase_height import PhaseHeight
+from greenough.pipeline.reconstruct import points_at_height, reconstruct
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+SHAPE = (24, 32)
+
+
+def camera(shape=SHAPE):
+    """The paper's Table 2, its picture thinned to a few pixels of 400 µm."""
+    return CameraModel(567.1, 569.0, -0.3, 15.8, 13.0, -0.09531, 0.02512, -0.00869, -0.00273, shape)
+
+
+def pose(tilt_deg=6.0):
+    """Looking down on the board: +x to the right, +y upwards in the picture, tilted about y."""
+    rotation = Rotation.from_euler("y", tilt_deg, degrees=True).as_matrix() @ np.diag([1.0, -1.0, -1.0])
+    camera_from_world = np.eye(4)
+    camera_from_world[:3, :3] = rotation
+    camera_from_world[:3, 3] = [0.3, -0.2, 224.56]
+    return camera_from_world
+
+
+def calibration(z_low=-1.45, z_high=1.45):
+    """Phase in rad is 10 z for every pixel: what is tested here lies behind the phase-height relation."""
+    coefficients = np.zeros((*SHAPE, 4), dtype=np.float32)
+    coefficients[..., 0] = 1.0
+    return Calibration(
+        camera=camera(),
+        camera_from_world=pose(),
+        phase_height=PhaseHeight(
+            coefficients=coefficients,
+            phase_centre=np.zeros(SHAPE, dtype=np.float32),
+            phase_half_range=np.full(SHAPE, 10.0, dtype=np.float32),
+            z_range=np.tile(np.float32([z_low, z_high]), (*SHAPE, 1)),
+            valid=np.ones(SHAPE, dtype=bool),
+        ),
+        identity=RigIdentity("rig", "1", "2", "0" * 64),
+        board=SpotBoard(9, 11, 0.65, 0.4, 0.175, 8.0, ((4, 5), (4, 6), (3, 5))),
+        procedure=Procedure((608.0, 152.0, 40.0, 12.0), (4, 4, 4, 12), 16, 30, 0.1, 0.8),
+        run="test",
+        exposures=0,
+        figures={},
+    )
+
+
+def phase_map(absolute):
+    flat = np.zeros(absolute.shape, dtype=np.float32)
+    return PhaseMap(absolute, flat + 80, flat + 100, np.isfinite(absolute), flat, flat + 0.01)
+
+
+def test_points_lie_on_their_pixels_rays_at_their_heights():
+    rng = np.random.default_rng(8)
+    z = rng.uniform(-1.4, 1.4, SHAPE)
+    xyz = reconstruct(phase_map(10 * z), calibration()).xyz
+    np.testing.assert_allclose(xyz[..., 2], z, atol=1e-12)
+    seen = camera().project(xyz @ pose()[:3, :3].T + pose()[:3, 3])
+    v, u = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    assert np.abs(seen - np.stack([u, v], axis=-1)).max() < 1e-9
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    x=st.floats(-5, 5), y=st.floats(-4, 4), z=st.floats(-1.5, 1.5), tilt=st.floats(-30, 30), turn=st.floats(-180, 180)
+)
+def test_a_point_projected_and_raised_to_its_height_comes_back(x, y, z, tilt, turn):
+    camera_from_world = pose(tilt)
+    camera_from_world[:3, :3] = camera_from_world[:3, :3] @ Rotation.from_euler("z", turn, degrees=True).as_matrix()
+    point = np.array([[x, y, z]])
+    pixel = camera().project(point @ camera_from_world[:3, :3].T + camera_from_world[:3, 3])
+    back = points_at_height(pixel, point[:, 2], camera(), camera_from_world)
+    np.testing.assert_allclose(back, point, atol=1e-8)
+
+
+def test_pixels_at_the_origin_of_the_picture_need_no_special_care():
+    # Eq. 23 as printed divides by u and by v.
+    xyz = points_at_height(np.array([[0.0, 0.0], [0.0, 5.0], [5.0, 0.0]]), np.zeros(3), camera(), pose())
+    assert np.isfinite(xyz).all()
+
+
+def test_heights_beyond_half_a_step_outside_the_calibrated_range_are_invalid():
+    z = np.zeros(SHAPE)
+    z[0, :4] = [1.499, 1.501, -1.499, -1.501]
+    valid = reconstruct(phase_map(10 * z), calibration()).valid
+    np.testing.assert_array_equal(valid[0, :4], [True, False, True, False])
+    assert valid.sum() == valid.size - 2
+
+
+def test_the_range_is_each_pixels_own():
+    here = calibration()
+    here.phase_height.z_range[3, 4] = [-1.45, 0.2]
+    z = np.full(SHAPE, 0.5)
+    valid = reconstruct(phase_map(10 * z), here).valid
+    assert not valid[3, 4]
+    assert valid.sum() == valid.size - 1
+
+
+def test_invalid_phase_and_uncalibrated_pixels_give_no_point():
+    here = calibration()
+    here.phase_height.valid[5, 6] = False
+    phase = np.zeros(SHAPE)
+    phase[7, 8] = np.nan
+    points = reconstruct(phase_map(phase), here)
+    assert np.isnan(points.xyz[5, 6]).all()
+    assert np.isnan(points.xyz[7, 8]).all()
+    assert points.valid.sum() == points.valid.size - 2
+
+
+def test_a_phase_map_of_another_size_is_refused():
+    with pytest.raises(InputError, match="camera of 32 x 24 pixels, the picture has 30 x 20"):
+        reconstruct(phase_map(np.zeros((20, 30))), calibration())

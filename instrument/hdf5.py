@@ -12,6 +12,7 @@ import hashlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -89,7 +90,7 @@ def get(file: h5py.File, name: str) -> np.ndarray:
         When it is missing or damaged.
     """
     try:
-        dataset = file[name]
+        dataset: Any = file[name]
         values = np.asarray(dataset[()], order="C")
         intact = dataset.attrs["sha256"].decode() == _digest(values, dataset.attrs["units"].decode())
     except _UNREADABLE:

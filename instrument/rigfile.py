@@ -203,7 +203,7 @@ class RigFile(BaseModel):
 
 def builtin_rigs() -> tuple[str, ...]:
     """Names of the rig files that come with the package."""
-    folder = resources.files(__package__) / "rigs"
+    folder = resources.files("greenough.instrument") / "rigs"
     return tuple(sorted(file.name[:-5] for file in folder.iterdir() if file.name.endswith(".toml")))
 
 
@@ -258,7 +258,7 @@ def describe_validation_error(error: ValidationError, where: str, model: type[Ba
 def _read(name_or_path: str | Path) -> tuple[str, str]:
     """What to call the file in a sentence, and its text."""
     if isinstance(name_or_path, str) and name_or_path in builtin_rigs():
-        file = resources.files(__package__) / "rigs" / f"{name_or_path}.toml"
+        file = resources.files("greenough.instrument") / "rigs" / f"{name_or_path}.toml"
         return f"built-in rig file {name_or_path}", file.read_text(encoding="utf-8")
     path = Path(name_or_path)
     where = f"rig file {path}"

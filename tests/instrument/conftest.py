@@ -82,7 +82,7 @@ class FakeRig:
         placement = self.operator.placement
         albedo = PARTS[placement.part] if placement else 0.05
         light = albedo * patterns.repeat(2, axis=1).repeat(2, axis=2) * (self.camera.exposure_us / 20_000)
-        noise = [np.random.default_rng((self._seed, serial)).normal(0, 2, self.camera.shape) for serial in serials]
+        noise = [np.random.default_rng([self._seed, n]).normal(0, 2, self.camera.shape) for n in serials.tolist()]
         stack = np.clip(light + self.camera.black_level_dn + np.array(noise), 0, self.camera.full_scale_dn)
         if np.issubdtype(self._dtype, np.integer):
             stack = np.rint(stack)

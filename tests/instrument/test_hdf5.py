@@ -1,4 +1,5 @@
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -44,7 +45,7 @@ def test_text_and_units_come_back(tmp_path: Path) -> None:
 def test_any_change_is_noticed(tmp_path: Path, change: str) -> None:
     path = written(tmp_path / "a.h5")
     with h5py.File(path, "r+") as file:
-        dataset = file["deep/values"]
+        dataset: Any = file["deep/values"]
         if change == "value":
             dataset[1, 2] = np.nextafter(dataset[1, 2], 100)
         elif change == "units":

@@ -138,13 +138,13 @@ def estimate_variance(
 
     Where all sets have three steps nothing is left over; the noise is then taken to be 1 % of the largest grey value.
     """
-    quantised = stack.dtype.kind == "u"
+    least = QUANTISATION_VARIANCE if stack.dtype.kind == "u" else 0.0
     stride = max(1, int(np.sqrt(stack[0].size / _SAMPLE_PIXELS)))
     sample = stack[:, ::stride, ::stride].reshape(len(stack), -1).astype(np.float64)  # (frames, pixels)
     sample = sample[:, (sample < full_scale_dn).all(axis=0)]
     freedom = sum(steps - 3 for steps in fringes.steps)
     if freedom == 0 or sample.size == 0:
-        return (_ASSUMED_NOISE * float(sample.max(initial=0.0))) ** 2 + QUANTISATION_VARIANCE, 0.0
+        return (_ASSUMED_NOISE * float(sample.max(initial=0.0))) ** 2 + least, 0.0
     unexplained = np.zeros(sample.shape[1])
     for part, steps in zip(fringes.slices, fringes.steps, strict=True):
         angle = 2 * np.pi * np.arange(steps) / steps
@@ -152,8 +152,8 @@ def estimate_variance(
         rest = sample[part] - basis.T @ (basis @ sample[part])
         unexplained += np.einsum("np,np->p", rest, rest)
     line = np.stack([np.ones(sample.shape[1]), np.maximum(sample.mean(axis=0) - black_dn, 0)], axis=-1)
-    (at_black, per_dn), _ = nnls(line, unexplained / freedom)
-    return max(float(at_black), QUANTISATION_VARIANCE if quantised else 0.0), float(per_dn)
+    (at_black, per_dn), _ = nnls(line, unexplained / freedom - least)
+    return least + float(at_black), float(per_dn)
 
 
 def _grey_values(frames: Frames | np.ndarray, fringes: FringeSet) -> tuple[np.ndarray, float, float]:

@@ -6,13 +6,13 @@ The chain of eq. 5 starts from the coarsest set, whose phase is taken to be abso
 column noise carries that phase across 0 or 2π, and the pixel starts at the wrong end of the field. So two chains are
 followed, from the phase as measured and from its neighbour one turn away, and compared:
 
-- A chain is possible only if it ends on a column of the field.
+- A chain is possible only if it ends inside the field, that is on one of the columns that the coarsest period spans.
 - Each chain predicts the phases of the coarser sets from that of the densest one. For Gaussian noise, half the
   difference of their weighted squared misfits is the logarithm of the odds between the two chains.
 
 In the paper's set a wrong start ends 600 columns away (50 periods of the densest set), which lies inside the field
-only for the outermost 8 columns on either side. The odds decide there, and where they do not suffice the pixel stays
-unresolved.
+only for the outermost 8 or 9 columns on either side. The odds decide there, and where they do not suffice the pixel
+stays unresolved. So does a pixel whose only possible chain is excluded by the odds.
 """
 
 from collections.abc import Sequence
@@ -35,7 +35,9 @@ ERROR_PROBABILITY = 1e-6
 RESIDUAL_LIMIT = pi / 2
 """Largest fringe-order residual of a valid pixel: half of the π at which rounding goes to the next order."""
 
-_EDGE_SIGMAS = 6.0  # by how much noise may carry a phase beyond the first or the last column
+# Column 0 is a mirror from -1/2 to 1/2; half a column more at either end admits counts that begin at a mirror's edge.
+_EDGE_COLUMNS = 1.0
+_EDGE_SIGMAS = 6.0  # by which noise may carry a phase beyond
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,7 @@ class Unwrapped:
     residual : Float
         Fringe-order residual K_i Φ_(i-1) - Φ_i of the step where it is largest in magnitude, rad, within ±π.
     resolved : Bool
-        Whether the phase lies in the field and the other chain is excluded.
+        Whether the phase lies inside the field and the other chain is excluded.
     """
 
     absolute: Float
@@ -74,11 +76,16 @@ def unwrap(wrapped: Sequence[Float], variance: Sequence[Float], fringes: FringeS
     here, there = (_follow(first, wrapped, variance, fringes) for first in (start, neighbour))
 
     use_there = there.inside & (~here.inside | (there.misfit < here.misfit))
-    decided = dr.abs(here.misfit - there.misfit) > 2 * log(1 / ERROR_PROBABILITY)
+    chosen_fits_worse = dr.select(use_there, there.misfit > here.misfit, here.misfit > there.misfit)
+    odds_decide = dr.abs(here.misfit - there.misfit) > 2 * log(1 / ERROR_PROBABILITY)
     return Unwrapped(
         absolute=dr.select(use_there, there.absolute, here.absolute),
         residual=dr.select(use_there, there.residual, here.residual),
-        resolved=(here.inside | there.inside) & (~(here.inside & there.inside) | decided),
+        resolved=dr.select(
+            here.inside & there.inside,
+            odds_decide,
+            (here.inside | there.inside) & ~(odds_decide & chosen_fits_worse),
+        ),
     )
 
 
@@ -107,7 +114,7 @@ class _Chain:
     absolute: Float
     residual: Float
     misfit: Float  # Σ (Φ_i - Φ_M p_M / p_i)² / variance over the coarser sets
-    inside: Bool  # ends on a column of the field
+    inside: Bool  # ends inside the field
 
 
 def _follow(start: Float, wrapped: Sequence[Float], variance: Sequence[Float], fringes: FringeSet) -> _Chain:
@@ -127,8 +134,8 @@ def _follow(start: Float, wrapped: Sequence[Float], variance: Sequence[Float], f
         scale = fringes.periods[-1] / period
         misfit += dr.square(phase - scale * densest) / (own + scale**2 * variance[-1])
 
-    # Column 0 is a mirror from -1/2 to 1/2.
     per_column = 2 * pi / fringes.periods[-1]
-    margin = _EDGE_SIGMAS * dr.sqrt(variance[-1])
-    inside = (densest > -0.5 * per_column - margin) & (densest < (fringes.periods[0] - 0.5) * per_column + margin)
+    edge = _EDGE_COLUMNS * per_column + _EDGE_SIGMAS * dr.sqrt(variance[-1])
+    last = (fringes.periods[0] - 1) * per_column
+    inside = (densest > -edge) & (densest < last + edge)
     return _Chain(densest, worst, misfit, inside)

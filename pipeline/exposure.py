@@ -1,0 +1,176 @@
+"""How long to expose, and several exposures merged into one where the scene spans more than the camera."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import inf
+
+import numpy as np
+from greenough.instrument.contract import CameraNoise, Frames, Rig
+from greenough.instrument.errors import InputError
+
+from .decode import camera_variance
+
+BRIGHTEST_PERCENTILE = 99.5
+"""The brightest part that counts is this percentile of all pixels.
+
+The 94 small and 5 large spots of the calibration board cover 2.4 % of the camera's field, so that the brightest fifth
+of them sets the exposure. What is brighter than that on other parts, such as glints, may saturate.
+"""
+
+_TOLERANCE = 0.05  # of the aimed grey value
+_CLIPPED = 0.98  # of the full scale: brighter parts may have lost light
+_LARGEST_STEP = 16.0
+_DARK = 0.01  # of the full scale: the least that the longest exposure must reach
+_ATTEMPTS = 12
+
+
+@dataclass(frozen=True)
+class Bracketed:
+    """Several exposures of one sequence, merged.
+
+    Parameters
+    ----------
+    frames : Frames
+        ``stack`` is (frames, rows, cols) float32 in DN of the longest exposure, black level 0, infinite where every
+        exposure is saturated. The other fields are those of the longest exposure.
+    variance_dn2 : (rows, cols) float32
+        Variance of a single grey value of ``frames``, averaged over the phases; `decode` takes it as its noise.
+        Infinite where every exposure is saturated.
+    saturated : (rows, cols) bool
+        Where every exposure is saturated.
+    """
+
+    frames: Frames
+    variance_dn2: np.ndarray
+    saturated: np.ndarray
+
+
+def auto_exposure(rig: Rig) -> float:
+    """Set the camera's exposure so that the brightest part that counts reaches ``procedure.exposure_share``.
+
+    A white pattern is projected, as bright as any fringe; the ``BRIGHTEST_PERCENTILE`` of the whole image above the
+    black level is brought to that share of the full scale: the range of grey values above black or the full well,
+    whichever is less. The longest exposure is kept if the part stays darker than that.
+
+    Returns
+    -------
+    float
+        The exposure that was set, µs.
+
+    Raises
+    ------
+    InputError
+        If the image is saturated at the shortest exposure, or dark at the longest.
+    """
+    camera = rig.camera
+    shortest, longest = camera.exposure_limits_us
+    full_scale = min(
+        camera.full_scale_dn - camera.black_level_dn, camera.noise.full_well_e / camera.noise.electrons_per_dn
+    )
+    aim = rig.procedure.exposure_share * full_scale
+    white = np.full((1, *rig.projector.shape), 255, dtype=np.uint8)
+
+    for _ in range(_ATTEMPTS):
+        exposure = camera.exposure_us
+        brightest = float(np.percentile(rig.capture(white).stack, BRIGHTEST_PERCENTILE)) - camera.black_level_dn
+        clipped = brightest >= _CLIPPED * full_scale
+        if not clipped and abs(brightest / aim - 1) <= _TOLERANCE:
+            return exposure
+        if exposure <= shortest and clipped:
+            raise InputError(
+                f"auto-exposure: the image is saturated at the shortest exposure of {shortest:g} µs; "
+                "dim the projector's light."
+            )
+        if exposure <= shortest and brightest > aim:
+            return exposure
+        if exposure >= longest and brightest < aim:
+            if brightest < _DARK * full_scale:
+                raise InputError(
+                    f"auto-exposure: the image is dark at the longest exposure of {longest:g} µs "
+                    f"({brightest:.3g} DN above black, at least {_DARK * full_scale:.3g} needed); "
+                    "check the light and that a part lies in the field."
+                )
+            return exposure
+        step = 1 / _LARGEST_STEP if clipped else aim / max(brightest, aim / _LARGEST_STEP)
+        camera.exposure_us = float(np.clip(exposure * step, shortest, longest))
+    raise InputError(
+        f"auto-exposure: the light did not settle within {_ATTEMPTS} images; it varies by more than "
+        f"{_TOLERANCE:.0%} from image to image, so steady it."
+    )
+
+
+def capture_bracketed(rig: Rig, patterns: np.ndarray, ratios: Sequence[float]) -> Bracketed:
+    """Capture one sequence at several exposures and merge them.
+
+    Parameters
+    ----------
+    rig : Rig
+        Its present exposure has ratio 1, and is set again afterwards.
+    patterns : (frames, rows, cols) uint8
+        What is projected.
+    ratios : sequence of float
+        Exposures as multiples of the present one.
+
+    Raises
+    ------
+    InputError
+        If an exposure lies outside the camera's limits; nothing has been captured then.
+    """
+    camera = rig.camera
+    present = camera.exposure_us
+    shortest, longest = camera.exposure_limits_us
+    for ratio in ratios:
+        if not shortest <= present * ratio <= longest:
+            raise InputError(
+                f"bracketing: {ratio:g} times the exposure of {present:g} µs lies outside the camera's limits of "
+                f"{shortest:g} to {longest:g} µs; choose another ratio in procedure.brackets."
+            )
+    sequences = []
+    try:
+        for ratio in ratios:
+            camera.exposure_us = present * ratio
+            sequences.append(rig.capture(patterns))
+    finally:
+        camera.exposure_us = present
+    return merge(sequences, camera.noise)
+
+
+def merge(sequences: Sequence[Frames], noise: CameraNoise) -> Bracketed:
+    """Merge exposures of the same sequence, pixel by pixel, each weighted by the inverse of its variance.
+
+    An exposure counts at a pixel only if none of its frames is saturated there, so that all frames of a pixel have the
+    same weights. The variance follows from the mean over the frames (`decode.camera_variance`).
+
+    Parameters
+    ----------
+    sequences : sequence of Frames
+        The same patterns at different exposures, in any order.
+    noise : CameraNoise
+        The camera's data sheet.
+    """
+    longest = max(sequences, key=lambda frames: frames.exposure_us)
+    total = np.zeros(longest.stack.shape, dtype=np.float32)
+    total_weight = np.zeros(longest.stack.shape[1:], dtype=np.float32)
+    for frames in sequences:
+        scale = longest.exposure_us / frames.exposure_us
+        at_black, per_dn = camera_variance(noise, quantised=frames.stack.dtype.kind == "u")
+        background = frames.stack.mean(axis=0, dtype=np.float32) - frames.black_level_dn
+        variance = scale**2 * (at_black + per_dn * np.maximum(background, 0))
+        clipped = frames.stack.max(axis=0) >= frames.full_scale_dn
+        weight = np.where(clipped, 0, 1 / variance).astype(np.float32)
+        total_weight += weight
+        weight *= scale
+        for grey, merged in zip(frames.stack, total, strict=True):
+            merged += weight * (grey - np.float32(frames.black_level_dn))
+
+    saturated = total_weight == 0
+    variance_dn2 = 1 / np.where(saturated, 1, total_weight)
+    for merged in total:
+        merged *= variance_dn2
+        merged[saturated] = inf
+    variance_dn2[saturated] = inf
+    return Bracketed(
+        frames=replace(longest, stack=total, black_level_dn=0.0, full_scale_dn=inf),
+        variance_dn2=variance_dn2,
+        saturated=saturated,
+    )

@@ -182,7 +182,7 @@ def _ink(printed: PrintedBoard) -> Part:
     lower = np.column_stack([xy, ceramic_height(printed, xy)])
     here = np.arange(n)
     after = np.roll(here.reshape(circles.shape[:2]), -1, axis=1).ravel()
-    walls = np.concatenate([np.stack([here, here + n, after], -1), np.stack([after, here + n, after + n], -1)])
+    walls = np.concatenate([np.stack([here, after, after + n], -1), np.stack([here, after + n, here + n], -1)])
     vertices = np.concatenate([top.vertices, upper, lower])
     faces = np.concatenate([top.faces, walls.astype(np.int32) + np.int32(len(top.vertices))])
     return Part(vertices, faces, None, "ink")
@@ -195,7 +195,7 @@ def _circles(printed: PrintedBoard) -> np.ndarray:
     count = 8 * int(np.ceil(np.pi / np.sqrt(2 * _SPOT_SAGITTA_MM / radii.max()) / 8))
     angle = 2 * np.pi * np.arange(count) / count
     unit = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    return printed.centres[:, None] + radii[:, None, None] * unit
+    return _snapped(printed.centres[:, None] + radii[:, None, None] * unit)
 
 
 def _cells(printed: PrintedBoard, circles: np.ndarray) -> np.ndarray:
@@ -241,7 +241,11 @@ def _blank_face(printed: PrintedBoard) -> Part:
 
 def _draped(triangles: np.ndarray, height: Callable[[np.ndarray], np.ndarray], material: str) -> Part:
     """Triangles (m, 3, 2) laid over ``height``; corners that coincide become one vertex."""
-    # Neighbours compute a shared corner from different centres: equal but for rounding, far below this grid.
-    corners, faces = np.unique(np.round(triangles.reshape(-1, 2), 9), axis=0, return_inverse=True)
+    corners, faces = np.unique(_snapped(triangles.reshape(-1, 2)), axis=0, return_inverse=True)
     vertices = np.column_stack([corners, height(corners)])
     return Part(vertices, faces.reshape(-1, 3).astype(np.int32), None, material)
+
+
+def _snapped(xy: np.ndarray) -> np.ndarray:
+    """``xy`` on a grid of 1 pm: neighbours compute shared corners from different centres, equal but for rounding."""
+    return np.round(xy, 9)

@@ -11,6 +11,7 @@ from .parts import Part, Specimen
 
 UNITS_MM = {"um": 1e-3, "mm": 1.0, "m": 1e3, "inch": 25.4}
 HALF_VOLUME_MM = (6.5, 5.0, 1.6)  # what a specimen may fill to either side of the origin
+MIN_SIZE_MM = 0.1  # about ten pixels: a smaller one was meant in another unit
 SUFFIXES = (".stl", ".ply", ".obj")
 
 
@@ -35,7 +36,7 @@ def load_mesh(
     ------
     InputError
         If the file cannot be read, has no faces or a vertex that is not finite, the unit is unknown, the pose is not
-        six finite numbers, or the posed mesh reaches beyond ± 6.5 x 5.0 x 1.6 mm.
+        six finite numbers, or the posed mesh reaches beyond ± 6.5 x 5.0 x 1.6 mm or is smaller than 0.1 mm.
     """
     path = Path(path)
     if unit not in UNITS_MM:
@@ -49,13 +50,13 @@ def load_mesh(
     vertices = Rotation.from_euler("xyz", pose[3:], degrees=True).apply(raw * UNITS_MM[unit]) + pose[:3]
     used = vertices[np.unique(faces)]
     low, high = used.min(axis=0), used.max(axis=0)
-    if (np.maximum(-low, high) > HALF_VOLUME_MM).any():
-        box = " x ".join(f"{size:.3g}" for size in high - low)
-        middle = ", ".join(f"{value:.3g}" for value in (low + high) / 2)
+    if (np.maximum(-low, high) > HALF_VOLUME_MM).any() or (high - low).max() < MIN_SIZE_MM:
+        box = " x ".join(f"{size:.4g}" for size in high - low)
+        middle = ", ".join(f"{value:.4g}" for value in (low + high) / 2)
         limit = " x ".join(f"±{half:g}" for half in HALF_VOLUME_MM)
         raise InputError(
-            f"{path} read in {unit} measures {box} mm around ({middle}) mm, outside the volume {limit} mm; "
-            "check its unit and pose."
+            f"{path} read in {unit} measures {box} mm around ({middle}) mm, but must measure at "
+            f"least {MIN_SIZE_MM:g} mm and stay inside {limit} mm; check its unit and pose."
         )
     return Specimen(path.stem, (Part(vertices, faces, None, "matte"),))
 
@@ -75,10 +76,11 @@ def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
     faces = np.asarray(getattr(mesh, "faces", np.empty((0, 3))), np.int64).reshape(-1, 3)
     vertices = np.asarray(mesh.vertices, float)
     if len(faces) == 0:
-        raise InputError(f"{path} has no faces; export it as a triangle mesh, not as a point cloud.")
+        raise InputError(f"{path} has no faces; export it again, as a triangle mesh and not as a point cloud.")
     if faces.min() < 0 or faces.max() >= len(vertices):
+        wrong = faces[(faces < 0) | (faces >= len(vertices))][0]
         raise InputError(
-            f"{path} has a face that names vertex {faces.max()}, but there are only {len(vertices)}; export it again."
+            f"{path} has a face with vertex {wrong}, but its vertices are 0 to {len(vertices) - 1}; export it again."
         )
     if not np.isfinite(vertices).all():
         bad = int(np.argmin(np.isfinite(vertices).all(axis=-1)))

@@ -1,5 +1,7 @@
 """Claims about letters as strokes."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from greenough.scenes.glyphs import GLYPHS, WIDTH, Line, bounds, offset_from, placed
@@ -30,7 +32,7 @@ def test_the_offset_leads_to_the_nearest_point_of_the_stroke(stroke):
 
 @pytest.mark.parametrize("stroke", STROKES)
 def test_pieces_continue_each_other_without_a_corner(stroke):
-    for one, other in zip(stroke[:-1], stroke[1:], strict=True):
+    for one, other in pairwise(stroke):
         ends = [(p[i], p[j] - p[i]) for p in (points_on(one), points_on(other)) for i, j in ((0, 1), (-1, -2))]
         gap, turn = min(
             (np.linalg.norm(p - q), 1 + (u @ v) / np.linalg.norm(u) / np.linalg.norm(v))

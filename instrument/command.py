@@ -13,6 +13,7 @@ import typer
 from .errors import InputError
 
 GROUP = "greenough.commands"
+INTERRUPTED = 130
 
 
 def main() -> NoReturn:
@@ -27,18 +28,20 @@ def run(arguments: Sequence[str], sources: Iterable[EntryPoint]) -> int:
     A verb ends with ``typer.Exit(1)`` when a row is not as expected, and raises InputError for bad input. Any other
     exception is a programming error and passes through.
     """
-    root = collect(sources)
     try:
-        typer.main.get_command(root)(list(arguments), prog_name="greenough")
+        typer.main.get_command(collect(sources))(list(arguments), prog_name="greenough")
     except InputError as error:
         print(f"greenough: {error}", file=sys.stderr)
         return 2
     except SystemExit as ending:
-        code = ending.code if isinstance(ending.code, int) else 0 if ending.code is None else 1
-        if code == 130:
-            print("greenough: interrupted; nothing half-written is left.", file=sys.stderr)
-        return code
-    return 0
+        if ending.code != INTERRUPTED:
+            return ending.code if isinstance(ending.code, int) else int(ending.code is not None)
+    except KeyboardInterrupt:  # while the verbs were being collected; later ones typer turns into an exit
+        pass
+    else:
+        return 0
+    print("greenough: interrupted; nothing half-written is left.", file=sys.stderr)
+    return INTERRUPTED
 
 
 def collect(sources: Iterable[EntryPoint]) -> typer.Typer:

@@ -6,6 +6,7 @@ from typing import Self
 
 import numpy as np
 import pytest
+from greenough.instrument import open_rig
 from greenough.instrument.contract import CameraNoise, Frames, Placement, Procedure, Rig, RigIdentity, SpotBoard
 from greenough.instrument.errors import InputError
 from greenough.instrument.limits import check_patterns, check_within
@@ -111,7 +112,12 @@ def fake_rig() -> type[FakeRig]:
     return FakeRig
 
 
-@pytest.fixture(params=[FakeRig], ids=["fake"])
+def small_twin() -> Rig:
+    """The twin with few pixels; its optics stay, so it sees the middle of the field."""
+    return open_rig("twin", ["camera.rows=48", "camera.cols=64"])
+
+
+@pytest.fixture(params=[FakeRig, small_twin], ids=["fake", "twin"])
 def open_some_rig(request: pytest.FixtureRequest) -> Callable[[], Rig]:
     """Every rig that must keep the contract; each call opens it afresh."""
     return request.param

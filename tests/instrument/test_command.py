@@ -78,6 +78,11 @@ def test_an_interruption_is_one_line(install, capsys: pytest.CaptureFixture[str]
     assert capsys.readouterr().err.count("\n") == 1
 
 
+def test_an_interruption_while_collecting_is_one_line(install, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["--help"], [install("interrupting_verbs", "raise KeyboardInterrupt")]) == 130
+    assert capsys.readouterr().err.count("\n") == 1
+
+
 def test_a_bug_stays_a_traceback(install) -> None:
     with pytest.raises(RuntimeError, match="a bug"):
         run(["buggy"], [install("buggy_verbs", VERBS)])
@@ -148,6 +153,17 @@ from greenough.instrument.command import run
 assert run(["--help"], [EntryPoint("instrument", "greenough.instrument.commands:app", "greenough.commands")]) == 0
 heavy = {"mitsuba", "drjit", "cv2", "scipy", "h5py", "pydantic", "trimesh", "igl", "matplotlib"} & set(sys.modules)
 assert not heavy, heavy
+"""
+    subprocess.run([sys.executable, "-c", script], check=True, capture_output=True)
+
+
+def test_help_of_the_installed_verbs_loads_no_renderer() -> None:
+    script = """
+import sys
+from importlib.metadata import entry_points
+from greenough.instrument.command import run
+assert run(["--help"], entry_points(group="greenough.commands")) == 0
+assert "mitsuba" not in sys.modules
 """
     subprocess.run([sys.executable, "-c", script], check=True, capture_output=True)
 

@@ -13,6 +13,7 @@ from .parts import Part, Specimen
 from .triangulation import grid_faces, grid_points, ring_angles, ring_faces
 
 _EDGE_MM = 0.009  # length of a facet's sides; the sagitta over it is below 0.1 µm on the smallest ball
+_ROUNDING_MM = 1e-9  # 0.4 + 0.05 and 0.5 - 0.05 may differ by rounding
 
 
 @dataclass(frozen=True)
@@ -67,30 +68,17 @@ def bga(
         If a missing or low ball is not on the grid, a low one would rise above the substrate by less than half its
         radius, or the tolerances allow a ball that is higher than its diameter.
     """
-    highest, smallest = nominal.height + nominal.height_tolerance, nominal.diameter - nominal.diameter_tolerance
-    if highest > smallest + 1e-9:
-        raise InputError(
-            f"the BGA's drawing allows balls {highest:g} mm high of only {smallest:g} mm diameter, which would float; "
-            "lower the height or its tolerance."
-        )
     low = {} if low is None else low
-    for row, col in [*missing, *low]:
-        if not (0 <= row < nominal.rows and 0 <= col < nominal.cols):
-            raise InputError(
-                f"ball ({row}, {col}) is not on the BGA; rows are 0 to {nominal.rows - 1} and columns 0 to "
-                f"{nominal.cols - 1}."
-            )
+    _check(nominal, missing, low)
     rng = np.random.default_rng(seed)
     shape = (nominal.rows, nominal.cols)
     radii = _toleranced(rng, shape, nominal.diameter, nominal.diameter_tolerance) / 2
     heights = _toleranced(rng, shape, nominal.height, nominal.height_tolerance)
-    for (row, col), depth in low.items():
-        heights[row, col] -= depth
-        if heights[row, col] < radii[row, col] / 2:
-            raise InputError(
-                f"ball ({row}, {col}) is made {depth:g} mm lower, but at most "
-                f"{heights[row, col] + depth - radii[row, col] / 2:.3f} mm leaves enough of it."
-            )
+    for ball, depth in low.items():
+        deepest = heights[ball] - radii[ball] / 2
+        if not 0 <= depth <= deepest:
+            raise InputError(f"ball {ball} is made {depth:g} mm lower; it can be made 0 to {deepest:.3f} mm lower.")
+        heights[ball] -= depth
 
     present = np.ones(shape, bool)
     for row, col in missing:
@@ -124,6 +112,21 @@ def bga(
     )
 
 
+def _check(nominal: BallGrid, missing: Collection[tuple[int, int]], low: Mapping[tuple[int, int], float]) -> None:
+    highest, smallest = nominal.height + nominal.height_tolerance, nominal.diameter - nominal.diameter_tolerance
+    if highest > smallest + _ROUNDING_MM:
+        raise InputError(
+            f"the BGA's drawing allows balls {highest:g} mm high of only {smallest:g} mm diameter, which would float; "
+            "lower the height or its tolerance."
+        )
+    for row, col in [*missing, *low]:
+        if not (0 <= row < nominal.rows and 0 <= col < nominal.cols):
+            raise InputError(
+                f"ball ({row}, {col}) is not on the BGA; rows are 0 to {nominal.rows - 1} and columns 0 to "
+                f"{nominal.cols - 1}."
+            )
+
+
 def _toleranced(rng: np.random.Generator, shape: tuple[int, int], middle: float, tolerance: float) -> np.ndarray:
     return middle + np.clip(rng.standard_normal(shape) / 3, -1, 1) * tolerance
 
@@ -137,7 +140,7 @@ def _substrate(nominal: BallGrid, z: float) -> Part:
 
 def _balls(centres: np.ndarray, radii: np.ndarray, base: float) -> Part:
     """Spheres (balls, 3), (balls,) cut off at z = ``base``: rings of equal polar angle from the apex down."""
-    cut = np.arccos((base - centres[:, 2]) / radii)  # polar angle where the substrate begins
+    cut = np.arccos(np.maximum(-1.0, (base - centres[:, 2]) / radii))  # polar angle where the substrate begins
     # One triangulation for all: fine enough for the largest ball and stretched to each ball's own cut.
     rings = int(np.ceil((radii * cut).max() / _EDGE_MM))
     share = np.arange(rings + 1) / rings

@@ -8,7 +8,7 @@ heights.
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.optimize import brentq
+from scipy.optimize import root_scalar
 
 from .glyphs import GLYPHS, WIDTH, Arc, Stroke, bounds, offset_from, placed
 from .parts import Part, Specimen
@@ -24,8 +24,8 @@ _ADVANCE_MM = 1.68  # from one letter to the next
 _CORE_MM = 0.07  # half the width of a letter's flat top
 _RIM_CORE_MM = 0.25
 _BEVEL_MM = 0.25
-_BLEND_MM = 0.16  # strokes meet with about this radius
-_FAR_MM = 1e3
+_BLEND_MM = 0.16  # strokes whose distances differ by less are blended
+_FAR_MM = 1e3  # where no stroke has been yet
 _RIM = Arc((0.0, 8.6), 11.5, -130, 80)
 _STEP_MM = 0.008
 _TILT_AZIMUTH = np.deg2rad(30.0)  # direction that rises
@@ -42,7 +42,7 @@ def coin() -> Specimen:
     def excess(angle: float) -> float:
         return np.ptp(points @ _tilt(angle)[2]) - SPAN_MM
 
-    tilt = float(brentq(excess, 0.0, 0.2))
+    tilt = root_scalar(excess, bracket=(0.0, 0.2)).root
     rotation = _tilt(tilt)
     vertices = points @ rotation.T
     vertices[:, 2] -= (vertices[:, 2].min() + vertices[:, 2].max()) / 2

@@ -73,10 +73,9 @@ def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
         raise InputError(
             f"{path} cannot be read as {path.suffix[1:].upper()}: it is damaged or of another format."
         ) from error
-    faces = np.asarray(getattr(mesh, "faces", np.empty((0, 3))), np.int64).reshape(-1, 3)
-    vertices = np.asarray(mesh.vertices, float)
-    if len(faces) == 0:
+    if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
         raise InputError(f"{path} has no faces; export it again, as a triangle mesh and not as a point cloud.")
+    faces, vertices = np.asarray(mesh.faces, np.int64), np.asarray(mesh.vertices, float)
     if faces.min() < 0 or faces.max() >= len(vertices):
         wrong = faces[(faces < 0) | (faces >= len(vertices))][0]
         raise InputError(

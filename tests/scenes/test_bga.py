@@ -115,7 +115,8 @@ def test_balls_fill_the_lit_field(specimen):
     [
         ({"missing": [(7, 0)]}, "rows are 0 to 6"),
         ({"low": {(0, -1): 0.1}}, "columns 0 to 11"),
-        ({"low": {(0, 0): 0.39}}, "leaves enough of it"),
+        ({"low": {(0, 0): 0.39}}, r"can be made 0 to 0\.\d+ mm lower"),
+        ({"low": {(0, 0): -0.1}}, r"can be made 0 to 0\.\d+ mm lower"),
         ({"nominal": replace(NOMINAL, height=0.5)}, "would float"),
     ],
 )

@@ -180,12 +180,12 @@ def _write_ply(path: str | Path, header: list[str], facts: Mapping[str, object],
     lines = ["ply", "format binary_little_endian 1.0"]
     for key, value in facts.items():
         text = f"{_FACT}{key}={value}"
-        if "\n" in text or "=" in key or not text.isascii():
+        if len(text.splitlines()) != 1 or "=" in key:
             raise ValueError(f"{text!r} does not fit a PLY header line")
         lines.append(text)
     lines += [*header, "end_header"]
     with atomic_path(path) as temporary, open(temporary, "wb") as file:
-        file.write(("\n".join(lines) + "\n").encode("ascii"))
+        file.write(("\n".join(lines) + "\n").encode("ascii", errors="backslashreplace"))
         for array in arrays:
             file.write(np.ascontiguousarray(array).data)
 

@@ -1,0 +1,291 @@
+"""The procedures: how a rig is calibrated and how it measures, against the contract alone (section 4 of the paper)."""
+
+import logging
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from greenough.instrument.contract import BLANK, Frames, Placement, Rig
+from greenough.instrument.errors import InputError
+
+from .calibration import Calibration
+from .camera_calibration import MIN_POSTURES, CameraCalibration, calibrate_camera
+from .decode import PhaseMap, decode
+from .exposure import auto_exposure, capture_bracketed
+from .fringes import FringeSet
+from .phase_height import PhaseHeightFit, fit_phase_height
+from .phasor_filter import filter_phasors
+from .reconstruct import PointMap, reconstruct
+from .spot_grid import MIN_SPOTS
+from .spots import BoardNotFound, Spots, detect_spots
+from .unfinished import Step, Unfinished
+
+_log = logging.getLogger(__name__)
+
+FLAT = "flat"
+"""Name of the posture in which the board lies flat: it carries the world frame."""
+
+_VOLUME_MM = (4.0, 3.0)  # half of the paper's 8 x 6 mm
+
+
+def calibrate(
+    rig: Rig, out: str | Path, run: str = "default", advance: Callable[[float], None] = lambda steps: None
+) -> Calibration:
+    """Calibrate a rig by the paper's method and write the calibration.
+
+    The board is shown tilted in all postures but one, then flat, each with fringes, from whose background the spots
+    are found. It is then turned over, and the stage lifts its blank side through the planes. The flat posture gives the
+    world frame, the stage's readings give the heights, and stage position 0 is z = 0 of both.
+
+    Every finished posture and plane is kept in ``OUT.partial``; when the run is interrupted, the same call with a rig
+    opened at ``exposures_done=Unfinished.beside(out).exposures`` goes on from there, to the same calibration. The
+    folder is removed when the calibration has been written.
+
+    Parameters
+    ----------
+    rig : Rig
+        Open, that is inside its context.
+    out : path
+        The calibration's file.
+    run : str
+        The run that the rig was opened for.
+    advance : callable
+        Called with 1 after each of the ``procedure.postures + procedure.planes`` steps.
+
+    Raises
+    ------
+    InputError
+        If ``OUT.partial`` belongs to another rig, settings or run, the planes lie outside the stage's limits, the flat
+        board or too many tilted ones were not found, or the postures are all parallel.
+    """
+    heights = plane_heights(rig)
+    if Path(out).is_dir():
+        raise InputError(f"cannot write {out}: it is a folder; name a file.")
+    unfinished = Unfinished.beside(out)
+    unfinished.begin(rig, run)
+    acquire = _Acquirer(rig, unfinished, advance)
+
+    spots = {name: acquire.posture(name, placement) for name, placement in _postures(rig)}
+    with unfinished.repeated_on_refusal(f"posture-{name}" for name, found in spots.items() if found is None):
+        _check_found(spots)
+    with unfinished.repeated_on_refusal(f"posture-{name}" for name in spots):
+        camera = _calibrate_camera(rig, spots)
+
+    phases = np.empty((len(heights), *rig.camera.shape), dtype=np.float32)
+    readings = np.empty(len(heights))
+    for k, height in enumerate(heights):
+        phases[k], readings[k] = acquire.plane(k, height)
+    with unfinished.repeated_on_refusal(f"plane-{k:02d}" for k in range(len(heights))):
+        fit = fit_phase_height(phases, readings)
+
+    calibration = Calibration(
+        camera=camera.camera,
+        camera_from_world=camera.camera_from_world,
+        phase_height=fit.relation,
+        identity=rig.identity,
+        board=rig.board,
+        procedure=rig.procedure,
+        run=run,
+        exposures=acquire.exposures,
+        figures=_figures(camera, fit, readings, [name for name, found in spots.items() if found is None]),
+    )
+    calibration.save(out)
+    unfinished.remove()
+    return calibration
+
+
+def measure(
+    rig: Rig,
+    calibration: Calibration,
+    placement: Placement,
+    brackets: Sequence[float] = (1.0,),
+    filter_fwhm_px: float | None = None,
+) -> PointMap:
+    """Measure one part.
+
+    The stage goes to 0, the exposure is set for this part, and its fringes are captured, decoded and reconstructed.
+
+    Parameters
+    ----------
+    rig : Rig
+        Open.
+    calibration : Calibration
+        Of this rig.
+    placement : Placement
+    brackets : sequence of float
+        Exposures to take and merge, as multiples of the automatic one: for shiny parts.
+    filter_fwhm_px : float, optional
+        Width of a Gaussian on the phasors; nothing is filtered unless it is given.
+
+    Raises
+    ------
+    InputError
+        If the calibration is of another rig or camera size, or shares its exposures with this measurement.
+    """
+    phase_map = measure_phase(rig, calibration, placement, brackets)
+    if filter_fwhm_px is not None:
+        phase_map = filter_phasors(phase_map, filter_fwhm_px)
+    return reconstruct(phase_map, calibration)
+
+
+def measure_phase(
+    rig: Rig, calibration: Calibration, placement: Placement, brackets: Sequence[float] = (1.0,)
+) -> PhaseMap:
+    """The phase map of one part, as `measure` takes it."""
+    calibration.check_fits(rig.identity, rig.camera.shape)
+    rig.operator.place(placement)
+    rig.stage.move_to_mm(0.0)
+    auto_exposure(rig)
+    fringes = calibration.fringes
+    patterns = fringes.patterns(*rig.projector.shape)
+    if tuple(brackets) == (1.0,):
+        frames = rig.capture(patterns)
+        noise = rig.camera.noise
+    else:
+        merged = capture_bracketed(rig, patterns, brackets)
+        frames, noise = merged.frames, merged.variance_dn2
+    if frames.run == calibration.run and frames.serials.min() < calibration.exposures:
+        raise InputError(
+            f"exposure {frames.serials.min()} of run {frames.run!r} belongs to the calibration already: measure in a "
+            "run of another name (--run)."
+        )
+    return decode(frames, fringes, noise)
+
+
+def plane_heights(rig: Rig) -> np.ndarray:
+    """Stage positions of the calibration planes in mm, from the lowest up, centred on 0.
+
+    Raises
+    ------
+    InputError
+        If they do not lie within the stage's limits.
+    """
+    procedure = rig.procedure
+    heights = (np.arange(procedure.planes) - (procedure.planes - 1) / 2) * procedure.plane_step_mm
+    low, high = rig.stage.limits_mm
+    if heights[0] < low or heights[-1] > high:
+        raise InputError(
+            f"{procedure.planes} planes {procedure.plane_step_mm:g} mm apart reach from {heights[0]:g} to "
+            f"{heights[-1]:g} mm, the stage only from {low:g} to {high:g} mm: change procedure.planes or "
+            "procedure.plane_step_mm in the rig file."
+        )
+    return heights
+
+
+def _postures(rig: Rig) -> list[tuple[str, Placement]]:
+    tilted = [(f"{k:02d}", Placement("board", posture=k)) for k in range(rig.procedure.postures - 1)]
+    return [*tilted, (FLAT, Placement("board"))]
+
+
+def _check_found(spots: dict[str, Spots | None]) -> None:
+    missing = [name for name, found in spots.items() if found is None]
+    if spots[FLAT] is None or len(spots) - len(missing) < MIN_POSTURES:
+        raise InputError(
+            f"the board was not found in posture {', '.join(missing)}: the flat one and at least {MIN_POSTURES} in all "
+            "are needed; start again with the same command and lay it into the light, the other postures are kept."
+        )
+
+
+def _calibrate_camera(rig: Rig, spots: dict[str, Spots | None]) -> CameraCalibration:
+    found = {name: seen for name, seen in spots.items() if seen is not None}
+    names = list(found)
+    return calibrate_camera(list(found.values()), rig.board, rig.camera.shape, names.index(FLAT), names)
+
+
+def _figures(
+    camera: CameraCalibration, fit: PhaseHeightFit, readings: np.ndarray, missing: Sequence[str]
+) -> dict[str, Any]:
+    """What the calibration says about itself."""
+    rmse_u, rmse_v = camera.reprojection_rmse_px
+    corners = np.array([[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in readings[[0, -1]]])
+    corners[:, :2] *= _VOLUME_MM
+    variances = np.linalg.eigvalsh(camera.projected_covariance(corners))
+    return {
+        "method": "paper",
+        "postures_used": len(camera.camera_from_board),
+        "postures_without_board": tuple(missing),
+        "reprojection_rmse_u_px": float(rmse_u),
+        "reprojection_rmse_v_px": float(rmse_v),
+        "skew_angle_deg": camera.camera.skew_angle_deg,
+        "print_sd_um": 1e3 * float(camera.print_sd_mm),
+        "spot_noise_px": float(camera.noise_sd_px),
+        "projection_sd_in_volume_px": float(np.sqrt(variances.max())),
+        "planes": len(readings),
+        "z_low_mm": float(readings.min()),
+        "z_high_mm": float(readings.max()),
+        "calibrated_pixels": int(fit.relation.valid.sum()),
+        "phase_height_condition": fit.condition,
+        "phase_height_residual_um": float(np.nanmedian(fit.residual_um)),
+        "plane_residual_um": float(np.sqrt(np.mean(fit.plane_residual_um**2))),
+    }
+
+
+class _Acquirer:
+    """Does the steps that are not done yet, each from the state in which the one before it ended."""
+
+    def __init__(self, rig: Rig, unfinished: Unfinished, advance: Callable[[float], None]):
+        self._rig = rig
+        self._unfinished = unfinished
+        self._advance = advance
+        self._fringes = FringeSet(rig.procedure.periods_px, rig.procedure.steps)
+        self._patterns = self._fringes.patterns(*rig.projector.shape)
+        self._exposure_us: float | None = None
+        self._blank_side_up = False
+        self.exposures = 0
+
+    def posture(self, name: str, placement: Placement) -> Spots | None:
+        """Spots of the board in one posture; None where it was not found."""
+
+        def take() -> dict[str, np.ndarray]:
+            self._rig.operator.place(placement)
+            self._rig.stage.move_to_mm(0.0)
+            auto_exposure(self._rig)
+            _, phase_map = self._capture()
+            try:
+                spots = detect_spots(phase_map.background, self._rig.board)
+                if spots.seen.sum() < MIN_SPOTS:
+                    raise BoardNotFound(f"only {spots.seen.sum()} of its spots can be measured")
+            except BoardNotFound as error:
+                _log.warning("posture %s: the board was not found (%s)", name, error)
+                return {}
+            return {key: getattr(spots, key) for key in ("centres_px", "axes_px", "sigma_px")}
+
+        arrays = self._once(f"posture-{name}", take)
+        return Spots(**arrays) if arrays else None
+
+    def plane(self, k: int, height: float) -> tuple[np.ndarray, float]:
+        """Absolute phase (rows, cols) of the blank side at one height, NaN where invalid, and the stage's reading."""
+
+        def take() -> dict[str, np.ndarray]:
+            if not self._blank_side_up:
+                self._rig.operator.place(Placement("board", face=BLANK))
+                self._blank_side_up = True
+            self._rig.stage.move_to_mm(float(height))
+            if k == 0:
+                auto_exposure(self._rig)
+            frames, phase_map = self._capture()
+            return {
+                "phase_rad": np.where(phase_map.valid, phase_map.absolute, np.nan).astype(np.float32),
+                "stage_position_mm": np.array(frames.stage_position_mm),
+            }
+
+        arrays = self._once(f"plane-{k:02d}", take)
+        return arrays["phase_rad"], float(arrays["stage_position_mm"])
+
+    def _once(self, name: str, take: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+        step = self._unfinished.step(name)
+        if step is None:
+            if self._exposure_us is not None:
+                self._rig.camera.exposure_us = self._exposure_us
+            arrays = take()
+            step = Step(arrays, self._rig.camera.exposure_us, self.exposures)
+            self._unfinished.finish(name, step)
+        self._exposure_us, self.exposures = step.exposure_us, step.exposures
+        self._advance(1)
+        return dict(step.arrays)
+
+    def _capture(self) -> tuple[Frames, PhaseMap]:
+        frames = self._rig.capture(self._patterns)
+        self.exposures = int(frames.serials[-1]) + 1
+        return frames, decode(frames, self._fringes, self._rig.camera.noise)

@@ -1,0 +1,137 @@
+"""The verbs of the pipeline: calibrate, measure, compare, decode."""
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+from greenough.instrument.contract import Placement
+from greenough.instrument.errors import InputError
+from greenough.instrument.opening import open_rig
+from greenough.instrument.progress import progress
+from greenough.instrument.verbs import JsonOption, RigArgument, RunOption, SetOption, show
+
+from . import acquisition
+from .calibration import Calibration
+from .compare import compare as compare_cloud
+from .decode_command import app as decode_app
+from .point_cloud import PointCloud, read_cloud, read_mesh, write_cloud
+from .unfinished import Unfinished
+
+app = typer.Typer()
+app.add_typer(decode_app)
+
+
+@app.command()
+def calibrate(
+    rig: RigArgument,
+    out: Annotated[Path, typer.Option("--out", metavar="CAL.h5", help="The calibration to write.")],
+    run: RunOption = "calibrate",
+    settings: SetOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Calibrate a rig: the board in its postures, then its blank side at every plane height.
+
+    An interrupted calibration goes on from the last finished posture or plane when the same command is given again.
+    """
+    exposures_done = Unfinished.beside(out).exposures
+    with open_rig(rig, settings or (), run=run, exposures_done=exposures_done) as opened:
+        steps = opened.procedure.postures + opened.procedure.planes
+        with progress(steps, "calibrating", quiet=as_json) as advance:
+            calibration = acquisition.calibrate(opened, out, run, advance)
+    show({"calibration": out, "rig": calibration.identity.name, "run": run, **calibration.figures}, as_json)
+
+
+@app.command()
+def measure(
+    rig: RigArgument,
+    calibration: Annotated[Path, typer.Option("--calibration", metavar="CAL.h5", help="Of `greenough calibrate`.")],
+    sample: Annotated[str, typer.Option("--sample", metavar="NAME|MESHFILE", help="The part to lay under the lenses.")],
+    out: Annotated[Path, typer.Option("--out", metavar="CLOUD.ply", help="The point cloud to write.")],
+    unit: Annotated[str, typer.Option("--unit", help="Unit of a mesh file: mm, um, m or inch.")] = "mm",
+    pose: Annotated[
+        str, typer.Option("--pose", metavar="X,Y,Z,A,B,C", help="Where a mesh file lies: mm and degrees about x, y, z.")
+    ] = "0,0,0,0,0,0",
+    bracket: Annotated[
+        bool, typer.Option("--bracket", help="Merge the exposures of procedure.brackets, for shiny parts.")
+    ] = False,
+    filter_fwhm_px: Annotated[
+        float | None, typer.Option("--filter-fwhm-px", help="Gaussian on the phasors. [default: no filter]")
+    ] = None,
+    run: Annotated[
+        str | None, typer.Option("--run", metavar="NAME", help="Name of the run. [default: measure-SAMPLE]")
+    ] = None,
+    settings: SetOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Measure a part and write its points in the calibrated frame."""
+    loaded = Calibration.load(calibration)
+    placement = Placement(sample, unit=unit, pose_mm_deg=_pose(pose))
+    run = run or f"measure-{Path(sample).stem}"
+    with (
+        open_rig(rig, settings or (), run=run) as opened,
+        progress(1, f"measuring {sample}", quiet=as_json) as advance,
+    ):
+        brackets = opened.procedure.brackets if bracket else (1.0,)
+        points = acquisition.measure(opened, loaded, placement, brackets, filter_fwhm_px)
+        advance(1)
+    facts = {
+        "unit": "mm",
+        "sample": sample,
+        "rig": loaded.identity.name,
+        "run": run,
+        "calibration": loaded.figures.get("method", "unknown"),
+        "calibration_run": loaded.run,
+        "brackets": " ".join(f"{ratio:g}" for ratio in brackets),
+        "filter": "none" if filter_fwhm_px is None else f"gaussian on phasors, fwhm {filter_fwhm_px:g} px",
+    }
+    cloud = PointCloud.from_point_map(points, facts=facts)
+    if len(cloud.xyz) == 0:
+        raise InputError(f"no point of {sample} could be measured: check that it lies in the light and in the z range.")
+    write_cloud(out, cloud)
+    low, high = cloud.xyz.min(axis=0), cloud.xyz.max(axis=0)
+    show({"cloud": out, "points": len(cloud.xyz), "low_mm": low, "high_mm": high, **facts}, as_json)
+
+
+@app.command()
+def compare(
+    cloud: Annotated[Path, typer.Argument(metavar="CLOUD", help="Measured points: PLY.")],
+    mesh: Annotated[Path, typer.Argument(metavar="MESH", help="What they should lie on: PLY, STL or OBJ, in mm.")],
+    align: Annotated[
+        Literal["none", "rigid", "similarity"], typer.Option("--align", help="Motion of the points before comparing.")
+    ] = "none",
+    tolerance_um: Annotated[
+        float | None,
+        typer.Option("--tolerance-um", help="Exit with 1 if 95 % of the vertical errors do not stay within this."),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Compare measured points with a mesh: distance along the normal and vertical error."""
+    if tolerance_um is not None and not tolerance_um > 0:
+        raise InputError(f"--tolerance-um is {tolerance_um:g}: it must be above 0.")
+    with progress(1, "comparing", quiet=as_json) as advance:
+        result = compare_cloud(read_cloud(cloud), read_mesh(mesh), align)
+        advance(1)
+    summary = {
+        "cloud": cloud,
+        "mesh": mesh,
+        "points": result.points,
+        "valid_share": result.valid_share,
+        "alignment": result.alignment,
+        "rows": [asdict(row) for row in result.rows],
+    }
+    if tolerance_um is None:
+        show(summary, as_json)
+        return
+    holds = bool(result.row("vertical").p95_um <= tolerance_um)
+    show({**summary, "tolerance_um": tolerance_um, "within_tolerance": holds}, as_json)
+    if not holds:
+        raise typer.Exit(1)
+
+
+def _pose(text: str) -> tuple[float, float, float, float, float, float]:
+    try:
+        x, y, z, a, b, c = (float(item) for item in text.split(","))
+    except ValueError:
+        raise InputError(f"--pose {text}: give six numbers, x,y,z in mm and three angles in degrees.") from None
+    return x, y, z, a, b, c

@@ -1,0 +1,281 @@
+"""The procedures against a small rig of plain geometry: pinholes, a printed board, a stage, noise per exposure."""
+
+import logging
+import zlib
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from greenough.instrument.contract import CameraNoise, Frames, Placement, Procedure, RigIdentity, SpotBoard
+from greenough.instrument.errors import InputError
+from greenough.pipeline.acquisition import calibrate, measure, plane_heights
+from greenough.pipeline.calibration import Calibration
+from greenough.pipeline.unfinished import Unfinished
+from scipy.spatial.transform import Rotation
+from scipy.special import expit
+
+SHAPE = (360, 480)
+FOCAL_PX = 8506.0
+DISTANCE = 224.56
+BOARD = SpotBoard(5, 7, 1.2, 0.8, 0.5, 8.0, ((2, 3), (2, 4), (1, 3)))
+PROCEDURE = Procedure(
+    (608.0, 152.0, 40.0, 12.0), (4, 4, 4, 12), postures=8, planes=10, plane_step_mm=0.3, exposure_share=0.8
+)
+TABLE_FROM_FLAT = np.array([[0.9986, -0.0523, 0, 0.1], [0.0523, 0.9986, 0, -0.05], [0, 0, 1, 0], [0, 0, 0, 1]])
+
+
+class Killed(BaseException):
+    """Stands for Ctrl-C or a kill at a bad moment."""
+
+
+class PlainRig:
+    """A profilometer of two pinholes 12° apart over a table that the stage lifts.
+
+    ``dies_at`` is the capture of a whole fringe sequence during which the process is killed; ``hidden`` are postures
+    whose board lies outside the picture.
+    """
+
+    def __init__(self, run="run", exposures_done=0, seed=1, dies_at=None, hidden=(), procedure=PROCEDURE, limit=1.6):
+        self.identity = RigIdentity("plain", "camera 1", "projector 1", f"{seed:064x}")
+        self.board, self.procedure = BOARD, procedure
+        self.camera = SimpleNamespace(
+            shape=SHAPE,
+            full_scale_dn=255.0,
+            black_level_dn=4.0,
+            noise=CameraNoise(6500.0, 10.0, 25.9),
+            exposure_limits_us=(100.0, 1e6),
+            exposure_us=8000.0,
+        )
+        self.projector = SimpleNamespace(shape=(2, 608))
+        self.stage = SimpleNamespace(limits_mm=(-limit, limit), position_mm=0.0, move_to_mm=self._move)
+        self.operator = SimpleNamespace(place=self._place)
+        self.placed: list[Placement] = []
+        self._run, self._serial, self._seed, self._dies_at, self._hidden = run, exposures_done, seed, dies_at, hidden
+        self._sequences = 0
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *exc):
+        return None
+
+    def _move(self, position):
+        self.stage.position_mm = position
+
+    def _place(self, placement):
+        self.placed.append(placement)
+
+    def capture(self, patterns):
+        if len(patterns) > 1:
+            self._sequences += 1
+            if self._sequences == self._dies_at:
+                raise Killed
+        light, column = self._scene()
+        left = np.clip(column.astype(int), 0, 606)
+        share = np.clip(column - left, 0, 1)
+        grey = patterns[:, 0].astype(float)
+        shown = grey[:, left] * (1 - share) + grey[:, left + 1] * share  # (frames, rows, cols)
+        electrons = 25.9 * shown * light * self.camera.exposure_us / 8000 * 0.4
+        stack = np.empty(shown.shape, dtype=np.uint8)
+        serials = self._serial + np.arange(len(patterns))
+        for frame, signal, serial in zip(stack, electrons, serials, strict=True):
+            rng = np.random.default_rng([self._seed, zlib.crc32(self._run.encode()), serial])
+            noisy = signal + np.sqrt(signal + 100.0) * rng.standard_normal(SHAPE)
+            frame[:] = np.clip(np.rint(noisy / 25.9 + 4), 0, 255)
+        self._serial += len(patterns)
+        return Frames(
+            stack, 255.0, 4.0, self.camera.exposure_us, 0.0, self.stage.position_mm, serials, serials * 0.01, self._run
+        )
+
+    def _scene(self):
+        """Reflected light and projector column of every pixel, (rows, cols) each."""
+        placement = self.placed[-1]
+        table_from_part = pose_of(placement, placement.posture in self._hidden)
+        table_from_part[2, 3] += self.stage.position_mm
+        origin, direction = rays()
+        normal, middle = table_from_part[:3, 2], table_from_part[:3, 3]
+        point = origin + direction * ((middle - origin) @ normal / (direction @ normal))[..., None]
+        reflectance = np.full(SHAPE, 0.85)
+        if placement.part == "board" and placement.face == "printed":
+            on_board = (point - middle) @ table_from_part[:3, :2]
+            inside = np.full(SHAPE, -1.0)
+            for centre, diameter in zip(BOARD.centres(), BOARD.diameters(), strict=True):
+                offset = on_board - centre
+                np.maximum(inside, diameter / 2 - np.hypot(offset[..., 0], offset[..., 1]), out=inside)
+            edge = DISTANCE / FOCAL_PX  # a pixel wide
+            reflectance = 0.08 + 0.77 * expit(4 * inside / edge)
+        column = projector_column(point)
+        lit = (column > 0) & (column < 607) & (np.abs(point[..., 1]) < 3.6)
+        return reflectance * lit, column
+
+
+def rays():
+    """Camera centre (3,) and directions (rows, cols, 3) in the table's frame; the camera leans 6° towards +x."""
+    sine, cosine = np.sin(np.radians(6)), np.cos(np.radians(6))
+    v, u = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    x, y = (u - 241.3) / FOCAL_PX, (v - 178.2) / FOCAL_PX
+    return DISTANCE * np.array([sine, 0, cosine]), np.stack([x * cosine - sine, -y, -x * sine - cosine], axis=-1)
+
+
+def projector_column(point):
+    sine, cosine = np.sin(np.radians(6)), np.cos(np.radians(6))
+    ray = point + DISTANCE * np.array([sine, 0, -cosine])
+    return 303.5 + 608 / 10.84 * DISTANCE * (ray @ [cosine, 0, sine]) / -(ray @ [-sine, 0, cosine])
+
+
+def pose_of(placement, hidden=False):
+    """table_from_part (4, 4): where a person lays it."""
+    pose = TABLE_FROM_FLAT.copy()
+    if placement.part == "tilted plane":
+        pose[:3, :3] = Rotation.from_euler("xy", [1.5, -2.0], degrees=True).as_matrix()
+        pose[2, 3] = 0.4
+    if placement.posture is not None:
+        k = placement.posture
+        axis = np.array([np.cos(2.4 * k), np.sin(2.4 * k), 0])
+        pose[:3, :3] = (
+            Rotation.from_rotvec(np.radians(9 + k) * axis) * Rotation.from_euler("z", 40 * k, degrees=True)
+        ).as_matrix()
+        pose[:2, 3] = [0.3 * np.cos(k), 0.2 * np.sin(k)]
+    if hidden:
+        pose[0, 3] += 50.0
+    return pose
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory):
+    out = tmp_path_factory.mktemp("undisturbed") / "cal.h5"
+    with PlainRig() as rig:
+        calibration = calibrate(rig, out, run="run")
+    return calibration, out, rig
+
+
+def assert_same(one: Calibration, other: Calibration):
+    assert one.camera == other.camera
+    assert one.figures == other.figures
+    assert one.exposures == other.exposures
+    np.testing.assert_array_equal(one.camera_from_world, other.camera_from_world)
+    for name in ("coefficients", "phase_centre", "phase_half_range", "z_range", "valid"):
+        np.testing.assert_array_equal(getattr(one.phase_height, name), getattr(other.phase_height, name))
+
+
+def test_the_board_is_shown_as_the_paper_shows_it(undisturbed):
+    *tilted, flat, blank = undisturbed[2].placed
+    assert tilted == [Placement("board", posture=k) for k in range(7)]
+    assert flat == Placement("board")
+    assert blank == Placement("board", face="blank")
+
+
+def test_the_file_holds_the_calibration_and_nothing_is_left_beside_it(undisturbed):
+    calibration, out, _ = undisturbed
+    assert_same(Calibration.load(out), calibration)
+    assert [path.name for path in out.parent.iterdir()] == ["cal.h5"]
+
+
+def test_a_tilted_plane_is_measured_in_the_boards_frame(undisturbed):
+    calibration = undisturbed[0]
+    with PlainRig(run="other") as rig:
+        points = measure(rig, calibration, Placement("tilted plane"))
+    # Truth from the same geometry, in the frame of the flat board.
+    origin, direction = rays()
+    pose = pose_of(Placement("tilted plane"))
+    hit = origin + direction * ((pose[:3, 3] - origin) @ pose[:3, 2] / (direction @ pose[:3, 2]))[..., None]
+    truth = (hit - TABLE_FROM_FLAT[:3, 3]) @ np.linalg.inv(TABLE_FROM_FLAT[:3, :3]).T
+    error = (points.xyz - truth)[points.valid]
+    assert points.valid.mean() > 0.4
+    # One exposure's phase noise, about 0.011 rad at 0.16 mm/rad, and the calibration's own share of it.
+    assert np.abs(error[:, 2].mean()) < 0.3e-3
+    assert error[:, 2].std() < 3.0e-3
+    # 37.9 px/mm: a hundredth of a pixel is 0.26 µm, at the rim of the field some times that.
+    assert np.sqrt(np.mean(error[:, :2] ** 2)) < 3e-3
+
+
+@pytest.mark.parametrize("dies_at", [1, 5, 9, 14])
+def test_a_killed_calibration_goes_on_to_the_same_result(undisturbed, tmp_path, dies_at):
+    out = tmp_path / "cal.h5"
+    with pytest.raises(Killed), PlainRig(dies_at=dies_at) as rig:
+        calibrate(rig, out, run="run")
+    assert not out.exists()
+    steps: list[float] = []
+    with PlainRig(exposures_done=Unfinished.beside(out).exposures) as rig:
+        resumed = calibrate(rig, out, run="run", advance=steps.append)
+    assert_same(resumed, undisturbed[0])
+    assert sum(steps) == PROCEDURE.postures + PROCEDURE.planes
+    tilted_again = [placement.posture for placement in rig.placed if placement.posture is not None]
+    assert tilted_again == list(range(min(dies_at, 8) - 1, 7))
+
+
+@pytest.mark.parametrize(
+    ("other", "run", "reason"),
+    [
+        ({"seed": 2}, "run", "other settings of the rig .*its seed"),
+        ({}, "tuesday", "another run"),
+        ({"procedure": replace(PROCEDURE, planes=9)}, "run", "another procedure"),
+    ],
+)
+def test_going_on_with_something_else_is_refused_with_the_reason(tmp_path, other, run, reason):
+    out = tmp_path / "cal.h5"
+    with pytest.raises(Killed), PlainRig(dies_at=2) as rig:
+        calibrate(rig, out, run="run")
+    with PlainRig(**other) as rig, pytest.raises(InputError, match=reason):
+        calibrate(rig, out, run=run)
+    assert rig.placed == []
+
+
+def test_a_board_not_found_is_named_and_the_rest_is_kept(tmp_path, caplog):
+    with PlainRig(hidden=(3,)) as rig, caplog.at_level(logging.WARNING):
+        calibration = calibrate(rig, tmp_path / "cal.h5", run="run")
+    assert "posture 03" in caplog.text
+    assert calibration.figures["postures_without_board"] == ("03",)
+    assert calibration.figures["postures_used"] == 7
+
+
+@pytest.mark.parametrize("hidden", [(0, 2, 5), (None,)])
+def test_too_few_postures_are_refused_before_the_planes_and_can_be_laid_again(tmp_path, hidden):
+    out = tmp_path / "cal.h5"
+    names = ", ".join("flat" if k is None else f"{k:02d}" for k in hidden)
+    with PlainRig(hidden=hidden) as rig, pytest.raises(InputError, match=f"not found in posture {names}:"):
+        calibrate(rig, out, run="run")
+    assert all(placement.face == "printed" for placement in rig.placed)
+    with PlainRig(exposures_done=Unfinished.beside(out).exposures) as rig:
+        calibrate(rig, out, run="run")
+    assert [placement.posture for placement in rig.placed if placement.face == "printed"] == list(hidden)
+
+
+def test_planes_beyond_the_stage_are_refused_before_anything_moves(tmp_path):
+    with PlainRig(limit=1.0) as rig, pytest.raises(InputError, match=r"from -1\.35 to 1\.35 mm, the stage only"):
+        calibrate(rig, tmp_path / "cal.h5")
+    assert rig.placed == []
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_planes_are_centred_and_evenly_spaced():
+    heights = plane_heights(PlainRig(procedure=replace(PROCEDURE, planes=30, plane_step_mm=0.1)))
+    np.testing.assert_allclose(heights, np.linspace(-1.45, 1.45, 30), atol=1e-12)
+
+
+def test_another_rigs_calibration_is_refused_before_anything_moves(undisturbed):
+    with PlainRig(run="other") as rig:
+        rig.identity = replace(rig.identity, camera_serial="camera 2")
+        with pytest.raises(InputError, match="camera serial is 'camera 1', this rig's is 'camera 2'"):
+            measure(rig, undisturbed[0], Placement("tilted plane"))
+    assert rig.placed == []
+
+
+def test_a_measurement_must_not_share_exposures_with_its_calibration(undisturbed):
+    with PlainRig(run="run") as rig, pytest.raises(InputError, match="run of another name"):
+        measure(rig, undisturbed[0], Placement("tilted plane"))
+    with PlainRig(run="run", exposures_done=undisturbed[0].exposures) as rig:
+        assert measure(rig, undisturbed[0], Placement("tilted plane")).valid.any()
+
+
+def test_brackets_and_the_filter_lower_the_noise(undisturbed):
+    def noise(**options):
+        with PlainRig(run="other") as rig:
+            z = measure(rig, undisturbed[0], Placement("tilted plane"), **options).xyz[100:260, 150:330, 2]
+        # Second differences of a plane are noise alone.
+        return np.nanstd(z[:, 2:] - 2 * z[:, 1:-1] + z[:, :-2])
+
+    plain = noise()
+    assert noise(brackets=(1.0, 0.9)) < 0.95 * plain
+    assert noise(filter_fwhm_px=2.0) < 0.5 * plain

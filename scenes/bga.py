@@ -21,7 +21,7 @@ class BallGrid:
     """Drawing of a ball grid array, mm; diameter and height are within ± their tolerances."""
 
     rows: int = 7
-    cols: int = 12
+    cols: int = 13
     pitch: float = 0.8
     diameter: float = 0.5
     diameter_tolerance: float = 0.05

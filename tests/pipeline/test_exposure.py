@@ -1,5 +1,6 @@
 from dataclasses import dataclass, field
 from math import inf, pi
+from typing import Any
 
 import numpy as np
 import pytest
@@ -50,6 +51,11 @@ class FakeRig:
         return exposed(light, self.exposure_us, self.rng, self.full_scale_dn)
 
 
+def rig_with(light, **settings) -> Any:
+    """The part of a rig that exposures need."""
+    return FakeRig(light, **settings)
+
+
 def board(level, shape=(100, 200)):
     """Dark, with 2.5 % of it at ``level``."""
     light = np.full(shape, 0.1 * level)
@@ -61,7 +67,7 @@ def board(level, shape=(100, 200)):
 @pytest.mark.parametrize("start_us", [8e3, 1e4, 5e6])
 @pytest.mark.parametrize("full_scale_dn", [FULL_SCALE_DN, inf])
 def test_the_brightest_part_reaches_the_share_of_full_scale(level, start_us, full_scale_dn):
-    rig = FakeRig(board(level), exposure_us=start_us, full_scale_dn=full_scale_dn)
+    rig = rig_with(board(level), exposure_us=start_us, full_scale_dn=full_scale_dn)
     exposure_us = auto_exposure(rig)
     assert exposure_us == rig.exposure_us
     full_well_dn = NOISE.full_well_e / NOISE.electrons_per_dn
@@ -74,25 +80,25 @@ def test_the_brightest_part_reaches_the_share_of_full_scale(level, start_us, ful
 def test_glints_do_not_count():
     light = board(1.0)
     light.flat[-int(0.003 * light.size) :] = 1000.0
-    rig = FakeRig(light)
+    rig = rig_with(light)
     assert 1.0 * auto_exposure(rig) / 1e3 == pytest.approx(200, rel=0.07)
     assert BRIGHTEST_PERCENTILE < 99.7
 
 
 def test_the_longest_exposure_is_kept_where_light_is_scarce():
-    rig = FakeRig(board(0.01))
+    rig = rig_with(board(0.01))
     assert auto_exposure(rig) == rig.exposure_limits_us[1]
 
 
 def test_too_much_and_too_little_light_are_refused():
     with pytest.raises(InputError, match="saturated at the shortest exposure"):
-        auto_exposure(FakeRig(board(100.0)))
+        auto_exposure(rig_with(board(100.0)))
     with pytest.raises(InputError, match="dark at the longest exposure"):
-        auto_exposure(FakeRig(board(1e-5)))
+        auto_exposure(rig_with(board(1e-5)))
 
 
 def test_brackets_are_multiples_of_the_present_exposure_which_is_set_again():
-    rig = FakeRig(board(5.0))
+    rig = rig_with(board(5.0))
     merged = capture_bracketed(rig, PAPER.patterns(*rig.shape), (4.0, 1.0))
     assert rig.captures == [4e4, 1e4]
     assert rig.exposure_us == 1e4
@@ -100,7 +106,7 @@ def test_brackets_are_multiples_of_the_present_exposure_which_is_set_again():
 
 
 def test_brackets_beyond_the_limits_are_refused_before_anything_is_captured():
-    rig = FakeRig(board(5.0))
+    rig = rig_with(board(5.0))
     for ratios in ((4.0, 0.5), (1e6, 1.0)):
         with pytest.raises(InputError, match="outside the camera's limits"):
             capture_bracketed(rig, PAPER.patterns(*rig.shape), ratios)

@@ -11,8 +11,8 @@ HEIGHTS = (np.arange(30) - 14.5) * 0.1
 def column_phase(z, shape=(12, 16), distance=224.56, angle_deg=6.0, focal=22683.0, stride=80):
     """Absolute phase in rad that two converging pinholes give a plane at height z, (rows, cols): plain ray geometry.
 
-    Camera centre at +angle_deg, projector centre at -angle_deg in the x-z plane, both aimed at the origin. ``stride`` spreads
-    a few pixels over the whole 1280 x 960 picture.
+    Camera centre at +angle_deg, projector centre at -angle_deg in the x-z plane, both aimed at the origin. ``stride``
+    spreads a few pixels over the whole 1280 x 960 picture.
     """
     rows, cols = shape
     v, u = (np.mgrid[:rows, :cols] - np.array([rows - 1, cols - 1]).reshape(2, 1, 1) / 2) * stride

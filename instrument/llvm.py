@@ -11,7 +11,7 @@ def ensure_llvm() -> None:
     """Point Dr.Jit at the libLLVM that pip installed into this environment, if there is one.
 
     A path already set by the user is left alone, and where no wheel exists Dr.Jit looks for the system's LLVM by
-    itself. Call it before Dr.Jit is first used; calling it again does nothing.
+    itself. Call it before Dr.Jit is imported, which is when it chooses its LLVM; calling it again does nothing.
     """
     if VARIABLE in os.environ:
         return

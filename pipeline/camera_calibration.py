@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-
 from greenough.instrument.contract import SpotBoard
 from greenough.instrument.errors import InputError
+from scipy.spatial.transform import Rotation
 
 from .camera_model import CameraModel
 from .spots import Spots
@@ -151,8 +151,8 @@ class _Views:
 def _check(centres: np.ndarray, seen: np.ndarray, names: list[str]) -> None:
     if len(centres) < MIN_POSTURES:
         raise InputError(
-            f"the camera cannot be calibrated from {len(centres)} postures of the board ({', '.join(names) or 'none'}): "
-            f"at least {MIN_POSTURES} are needed; add postures with tilts of 5 to 25 degrees in different directions"
+            f"the camera cannot be calibrated from {len(centres)} postures of the board "
+            f"({', '.join(names) or 'none'}): at least {MIN_POSTURES} are needed; add postures with tilts of 5 to 25 degrees in different directions"
         )
     poor = [f"{name} ({count})" for name, count in zip(names, seen.sum(axis=1), strict=True) if count < _MIN_POINTS]
     if poor:
@@ -225,43 +225,47 @@ def _project_points(camera: CameraModel, camera_from_frame: np.ndarray, xyz: np.
 
 def _residuals(camera: CameraModel, poses: np.ndarray, views: _Views) -> np.ndarray:
     """Measured minus projected, (postures, spots, 2); zero where unseen."""
-    projected = np.array([camera.project_circles(views.nominal, views.radii, pose) for pose in poses])
+    projected = camera.project_circles(views.nominal, views.radii, poses)
     return np.where(views.seen[..., None], views.centres - projected, 0.0)
 
 
-def _moved(camera: CameraModel, pose: np.ndarray, step: np.ndarray) -> tuple[CameraModel, np.ndarray]:
-    """Camera and pose changed by a step of 9 intrinsic and 6 pose parameters."""
-    changed = replace(camera, **{name: getattr(camera, name) + step[k] for k, name in enumerate(INTRINSICS)})
-    moved = pose.copy()
-    moved[:3, :3] = cv2.Rodrigues(step[9:12])[0] @ pose[:3, :3]
-    moved[:3, 3] += step[12:]
-    return changed, moved
+def _changed(camera: CameraModel, step: np.ndarray) -> CameraModel:
+    """Camera after a step (9,) of its intrinsic parameters."""
+    return replace(camera, **{name: getattr(camera, name) + float(step[k]) for k, name in enumerate(INTRINSICS)})
+
+
+def _moved(poses: np.ndarray, steps: np.ndarray) -> np.ndarray:
+    """Poses (..., 4, 4) after steps (..., 6) of rotation, about the board's origin, and shift."""
+    moved = poses.copy()
+    moved[..., :3, :3] = Rotation.from_rotvec(steps[..., :3]).as_matrix() @ poses[..., :3, :3]
+    moved[..., :3, 3] += steps[..., 3:]
+    return moved
 
 
 def _differentiate(
-    project: Callable[[CameraModel, np.ndarray], np.ndarray], camera: CameraModel, pose: np.ndarray
+    project: Callable[[CameraModel, np.ndarray], np.ndarray], camera: CameraModel, poses: np.ndarray
 ) -> np.ndarray:
-    """Derivatives (n, 2, 15) of projected points by central differences.
+    """Derivatives (..., 2, 15) of projected points (..., 2) by the camera and their own pose: central differences.
 
-    Pixels are linear in each intrinsic parameter, so these derivatives are exact for any step.
+    Pixels are linear in each intrinsic parameter, so those derivatives are exact for any step.
     """
     corner = np.hypot(*camera.shape) / 2 / camera.fx
-    steps = np.array([1.0] * 5 + [corner**-2 * 1e-3, corner**-4 * 1e-3] + [corner**-1 * 1e-3] * 2)
-    steps = np.concatenate([steps, [_ROTATION_STEP] * 3, [_SHIFT_STEP_MM] * 3])
-    columns = []
-    for k, size in enumerate(steps):
-        step = np.zeros(len(steps))
-        step[k] = size
-        columns.append((project(*_moved(camera, pose, step)) - project(*_moved(camera, pose, -step))) / (2.0 * size))
+    intrinsic = np.diag([1.0] * 5 + [corner**-2 * 1e-3, corner**-4 * 1e-3] + [corner**-1 * 1e-3] * 2)
+    motion = np.diag([_ROTATION_STEP] * 3 + [_SHIFT_STEP_MM] * 3)
+    columns = [
+        (project(_changed(camera, step), poses) - project(_changed(camera, -step), poses)) / (2.0 * step.sum())
+        for step in intrinsic
+    ]
+    columns += [
+        (project(camera, _moved(poses, step)) - project(camera, _moved(poses, -step))) / (2.0 * step.sum())
+        for step in motion
+    ]
     return np.stack(columns, axis=-1)
 
 
 def _jacobians(camera: CameraModel, poses: np.ndarray, views: _Views) -> np.ndarray:
     """(postures, spots, 2, 15); zero where unseen."""
-    blocks = [
-        _differentiate(lambda model, pose: model.project_circles(views.nominal, views.radii, pose), camera, pose)
-        for pose in poses
-    ]
+    blocks = _differentiate(lambda model, at: model.project_circles(views.nominal, views.radii, at), camera, poses)
     return np.where(views.seen[..., None, None], blocks, 0.0)
 
 
@@ -309,8 +313,8 @@ def _adjust(
         scaled = normal / np.outer(scale, scale)
         while True:
             step = np.linalg.solve(scaled + damping * np.eye(len(scaled)), gradient / scale) / scale
-            moved = [_moved(camera, pose, step[_columns(k)]) for k, pose in enumerate(poses)]
-            trial_camera, trial_poses = moved[0][0], np.array([pose for _, pose in moved])
+            trial_camera = _changed(camera, step[: len(INTRINSICS)])
+            trial_poses = _moved(poses, step[len(INTRINSICS) :].reshape(-1, 6))
             then = cost(trial_camera, trial_poses)
             if then <= now or damping > 1e6:
                 break
@@ -326,13 +330,12 @@ def _adjust(
 
 def _by_place(camera: CameraModel, poses: np.ndarray, views: _Views) -> np.ndarray:
     """Derivatives (postures, spots, 2, 2) of the centres by the spots' places on the board, px per mm."""
-    blocks = []
-    for pose in poses:
-        shifts = np.array([[_SHIFT_STEP_MM, 0.0], [0.0, _SHIFT_STEP_MM]])
-        ahead = [camera.project_circles(views.nominal + shift, views.radii, pose) for shift in shifts]
-        behind = [camera.project_circles(views.nominal - shift, views.radii, pose) for shift in shifts]
-        blocks.append((np.stack(ahead, axis=-1) - np.stack(behind, axis=-1)) / (2.0 * _SHIFT_STEP_MM))
-    return np.array(blocks)
+    shifts = _SHIFT_STEP_MM * np.eye(2)
+    ahead, behind = (
+        np.stack([camera.project_circles(views.nominal + sign * shift, views.radii, poses) for shift in shifts], -1)
+        for sign in (1.0, -1.0)
+    )
+    return (ahead - behind) / (2.0 * _SHIFT_STEP_MM)
 
 
 def _split_residuals(residuals: np.ndarray, by_place: np.ndarray) -> tuple[float, float]:

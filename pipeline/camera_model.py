@@ -88,7 +88,7 @@ class CameraModel:
         return np.stack([np.where(lost, np.nan, x), np.where(lost, np.nan, y)], axis=-1)
 
     def project_circles(self, centres: np.ndarray, radii: np.ndarray, camera_from_board: np.ndarray) -> np.ndarray:
-        """Pixels (n, 2) of the centres of the ellipses that circles on a plane appear as.
+        """Pixels (..., n, 2) of the centres of the ellipses that circles on a plane appear as.
 
         A circle of radius r about c with unit normal n is the dual conic r²(I - n nᵀ) - c cᵀ in the camera frame;
         the centre of its image is the pole of the line at infinity, the conic's last column:
@@ -102,11 +102,13 @@ class CameraModel:
             In the board frame, mm; z is zero if left out.
         radii : (n,)
             mm, in planes parallel to the board's z = 0.
-        camera_from_board : (4, 4)
+        camera_from_board : (..., 4, 4)
+            One pose or several.
         """
-        rotation, shift = camera_from_board[:3, :3], camera_from_board[:3, 3]
-        cx, cy, cz = np.moveaxis(centres @ rotation[:, : centres.shape[-1]].T + shift, -1, 0)
-        nx, ny, nz = rotation[:, 2]
+        rotation, shift = camera_from_board[..., :3, :3], camera_from_board[..., None, :3, 3]
+        in_camera = centres @ rotation[..., : centres.shape[-1]].swapaxes(-1, -2) + shift
+        cx, cy, cz = np.moveaxis(in_camera, -1, 0)
+        nx, ny, nz = np.moveaxis(rotation[..., None, :, 2], -1, 0)
         r2 = np.square(radii)
         denominator = cz**2 - r2 * (1.0 - nz**2)
         ellipse = np.stack([(cx * cz + r2 * nx * nz) / denominator, (cy * cz + r2 * ny * nz) / denominator], axis=-1)

@@ -47,10 +47,10 @@ class SpotFits:
 def fit_spots(image: np.ndarray, centres_px: np.ndarray, axes_px: np.ndarray) -> SpotFits:
     """Fit a blurred ellipse to the window around each spot.
 
-    The model is ``(1 + g·x) (ink + contrast Φ(-d / blur))``, with d the distance from the ellipse to first order; light
-    of relative gradient g, ink, contrast and blur are each spot's own. What remains is that the optics blur light times
-    reflectance while the model multiplies after blurring. For a Gaussian blur h, (x f) * h = x (f * h) + blur² (f * h)',
-    so an edge in that light appears shifted by -blur² g; that is put back.
+    The model is ``(1 + g·x) (ink + contrast Φ(-d / blur))``, with d the distance from the ellipse to first order; the
+    relative gradient g of the light, ink, contrast and blur are each spot's own. What remains is that the optics blur
+    light times reflectance while the model multiplies after blurring. For a Gaussian blur h,
+    (x f) * h = x (f * h) + blur² (f * h)', so an edge in that light appears shifted by -blur² g; that is put back.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def _fit_windows(
     pixels = image[middle[:, 1, None] + y.astype(int), middle[:, 0, None] + x.astype(int)].astype(float)  # (n, pixels)
     slopes = np.stack([x, y]) / half  # (2, pixels)
 
-    # Parameters of a spot: centre (2), q_xx, q_xy, q_yy times radius² (3), blur, ink, contrast, gradient (2) per half window.
+    # Of each spot: centre (2), q_xx, q_xy, q_yy times radius², blur, ink, contrast, gradient (2) per half window.
     radius2 = np.square(axes_px).mean(axis=1)
     parameters = np.zeros((count, 10))
     parameters[:, :2] = centres_px - middle

@@ -2,15 +2,15 @@
 
 import cv2
 import numpy as np
-from scipy.spatial import cKDTree
-
 from greenough.instrument.contract import SpotBoard
 from greenough.instrument.errors import InputError
+from scipy.spatial import cKDTree
 
 MIN_SPOTS = 20  # fewer cannot tell an accidental pattern from the board
 _CELL_TOLERANCE = 0.2  # of a pitch: distance of a spot from its lattice point
 _AREA_FACTOR = 1.6  # an area may differ by this from the drawing's before the blob counts as no spot
-_MIN_MARGIN = 4  # a misread spot moves the score of a wrong order by 2 at most: two of them must not decide
+_MAX_LOSS = 4  # of the score: two spots of the wrong size, or four blobs off the board
+_MIN_MARGIN = 4  # to the next best order: two misread spots must not decide
 
 
 class BoardNotFound(InputError):
@@ -160,7 +160,7 @@ def _match_big_spots(labels: np.ndarray, is_big: np.ndarray, board: SpotBoard) -
                 fits.append((score, r, c))
     fits.sort(key=lambda fit: -fit[0])
     (best, row, col), (second, *_) = fits[:2]
-    if best - second < _MIN_MARGIN or best < 0.8 * len(labels):
+    if best - second < _MIN_MARGIN or best < len(labels) - _MAX_LOSS:
         raise BoardNotFound(
             f"calibration board not found: {len(labels)} spots of a grid were seen, {np.count_nonzero(is_big)} of them "
             f"big, which does not tell how the board lies; its {len(board.big)} big spots must be in the picture"

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-
 from greenough.instrument.contract import SpotBoard
 from greenough.instrument.errors import InputError
 
@@ -33,7 +32,7 @@ class Spots:
         Centres (u, v) of the ellipses as imaged: not the images of the circles' centres, from which they differ by the
         eccentricity (see ``CameraModel.project_circles``).
     axes_px : (rows * cols, 2)
-        Semi-axes, the longer first.
+        Semi-axes at half contrast, the longer first; blur makes them shorter by blur² / 2R.
     sigma_px : (rows * cols,)
         Standard deviation of each coordinate of a centre, from the fit's own residual.
     """

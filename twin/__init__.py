@@ -24,7 +24,4 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module
 
-    from .renderer import start
-
-    start()
     return getattr(import_module(f".{_HOME[name]}", __name__), name)

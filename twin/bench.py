@@ -2,13 +2,12 @@
 
 from dataclasses import dataclass
 
-import drjit as dr
-import mitsuba as mi
 import numpy as np
 
 from greenough.instrument.rigfile import RigFile
 from greenough.scenes.parts import Part, Specimen, transform
 
+from .renderer import dr, mi
 from .scene import camera_dict, projector_dict, specimen_dict
 from .settings import TwinSettings
 from .workbench import Workbench

@@ -2,13 +2,12 @@
 
 from dataclasses import dataclass
 
-import drjit as dr
-import mitsuba as mi
 import numpy as np
 
 from greenough.instrument.rigfile import CameraSection
 
 from .randomness import exposure_key, instrument_rng
+from .renderer import dr, mi
 from .settings import CameraSettings
 
 

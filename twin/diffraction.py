@@ -37,7 +37,9 @@ def geometric_transfer(frequency: np.ndarray, na: float, defocus: float) -> np.n
     return np.where(x < 1e-6, 1.0, 2 * j1(x) / np.where(x < 1e-6, 1.0, x))
 
 
-def defocused_transfer(frequency: np.ndarray, na: float, wavelength: float, defocus: float, samples: int = 400) -> np.ndarray:
+def defocused_transfer(
+    frequency: np.ndarray, na: float, wavelength: float, defocus: float, samples: int = 400
+) -> np.ndarray:
     """Wave-optical transfer function with a defocus of ``defocus`` mm at the specimen, (frequencies,).
 
     Autocorrelation of the pupil with the paraxial defocus phase: over the overlap of the two shifted discs the phase

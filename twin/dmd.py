@@ -111,8 +111,8 @@ def _image_table(light: np.ndarray, mirrors: Mirrors, na: float, wavelength: flo
         for parity in (0, 1):
             row = top + parity * down
             column = left + parity * across // 2
-            lattice[row : top + rows * down : 2 * down, column : column + cols * across : across] = (
-                light[k, parity::2] * (across * down)
-            )
+            lattice[row : top + rows * down : 2 * down, column : column + cols * across : across] = light[
+                k, parity::2
+            ] * (across * down)
         values[..., k] = np.fft.irfft2(np.fft.rfft2(lattice) * transfer, shape)
     return PatternTable(values, np.ones(1, np.float32), (-float(MARGIN), -float(MARGIN)), IMAGE_CELLS, True)

@@ -42,3 +42,8 @@ def flat(seed: int, what: str) -> np.ndarray:
 def on_wedge(gradient: np.ndarray) -> np.ndarray:
     """Motion (4, 4) that lays a board, whose thickness has this ``gradient`` (2,), on its blank face."""
     return rigid(Rotation.from_rotvec([gradient[1], -gradient[0], 0.0]), [0, 0, 0])
+
+
+def lifted(height: float) -> np.ndarray:
+    """Motion (4, 4) upwards by ``height`` mm."""
+    return rigid(Rotation.identity(), [0, 0, height])

@@ -5,8 +5,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Self
 
-import drjit as dr
-import mitsuba as mi
 import numpy as np
 
 from greenough.instrument.contract import (
@@ -22,6 +20,7 @@ from greenough.instrument.rigfile import RigFile, load_rig_file
 
 from .bench import Bench
 from .camera import build_sensor, expose
+from .renderer import dr, mi
 from .scene import camera_dict, integrator_dict, projector_dict, specimen_dict
 from .settings import TwinSettings, twin_settings
 from .workbench import Workbench
@@ -203,7 +202,7 @@ class Renderer:
             self._kept = None  # the old stack is freed before the new one is made
             scene = mi.load_dict(self._scene(self._projector_for(patterns, digest)))
             integrator = scene.integrator()
-            self._kept = (state, integrator.render_channels(scene, scene.sensors()[0], 0, integrator.nodes))
+            self._kept = (state, integrator.render_channels(scene, scene.sensors()[0]))
             dr.sync_thread()
         return self._kept[1]
 
@@ -224,7 +223,7 @@ class Renderer:
         return {
             "type": "scene",
             "embree_use_robust_intersections": True,
-            "integrator": integrator_dict(self._settings.render, mounted.smooth),
+            "integrator": integrator_dict(self._settings.render, mounted.blank),
             "sensor": self._sensor,
             "projector": projector,
         } | specimen_dict(self._workbench.parts_in_twin(), self._settings.render)

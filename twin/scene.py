@@ -3,12 +3,13 @@
 from collections.abc import Sequence
 from typing import Any
 
-import mitsuba as mi
 import numpy as np
 
 from greenough.scenes.materials import MATERIALS, Diffuse, Material, RoughConductor
 from greenough.scenes.parts import Part
 
+from . import plugins  # noqa: F401  registers the names used below
+from .renderer import mi
 from .settings import OpticsSettings, RenderSettings
 
 
@@ -69,12 +70,13 @@ def specimen_dict(parts: Sequence[Part], render: RenderSettings) -> dict[str, mi
     return {f"part_{k}": _mesh(f"part_{k}", part, render.diffuse_only) for k, part in enumerate(parts)}
 
 
-def integrator_dict(render: RenderSettings, smooth: bool) -> dict[str, Any]:
-    """The one-pass integrator; ``smooth`` says that the specimen has neither texture nor relief."""
+def integrator_dict(render: RenderSettings, blank: bool) -> dict[str, Any]:
+    """The one-pass integrator; ``blank`` says that the specimen is a plane of one material, which cannot light itself."""
     return {
         "type": "fringe",
-        "nodes": render.nodes_smooth if smooth else render.nodes,
-        "bounces": render.bounces,
+        "nodes": render.nodes_blank if blank else render.nodes,
+        "nodes_indirect": render.nodes_indirect,
+        "bounces": 1 if blank else render.bounces,
     }
 
 

@@ -2,12 +2,21 @@
 
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from greenough.instrument.errors import InputError
 from greenough.instrument.rigfile import RigFile, describe_validation_error
 
 _STRICT = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+def _power_of_two(value: int) -> int:
+    if value & (value - 1):
+        raise ValueError(f"must be a power of two, not {value}")
+    return value
+
+
+Nodes = Annotated[int, Field(ge=2, le=65536), AfterValidator(_power_of_two)]
 Size = Annotated[float, Field(ge=0, le=1e4)]
 
 
@@ -67,20 +76,14 @@ class BoardSettings(BaseModel):
 
 
 class RenderSettings(BaseModel):
-    """Light paths per pixel for smooth, blank surfaces and for the others, and surface interactions of a path."""
+    """Light paths per pixel for blank planes, for other specimens, and for their interreflections."""
 
     model_config = _STRICT
-    nodes_smooth: Annotated[int, Field(ge=2, le=65536)] = 16
-    nodes: Annotated[int, Field(ge=2, le=65536)] = 64
-    bounces: Annotated[int, Field(ge=1, le=8)] = 2
+    nodes_blank: Nodes = 16
+    nodes: Nodes = 64
+    nodes_indirect: Nodes = 16
+    bounces: Annotated[int, Field(ge=1, le=8)] = 2  # surface interactions of a path: 1 has no interreflection
     diffuse_only: bool = False  # every material as a Lambertian one of the same reflectance
-
-    @field_validator("nodes_smooth", "nodes")
-    @classmethod
-    def _power_of_two(cls, value: int) -> int:
-        if value & (value - 1):
-            raise ValueError(f"must be a power of two, not {value}")
-        return value
 
 
 class TwinSettings(BaseModel):

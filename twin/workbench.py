@@ -13,7 +13,7 @@ from greenough.scenes.catalogue import specimen
 from greenough.scenes.mesh_file import load_mesh
 from greenough.scenes.parts import Part, Specimen, transform
 
-from .placing import flat, on_wedge, tilted
+from .placing import flat, lifted, on_wedge, tilted
 from .randomness import instrument_rng
 from .settings import TwinSettings
 from .stage import StageErrors, build_stage
@@ -23,12 +23,12 @@ BOARDS = ("board", "second-board")
 
 @dataclass(frozen=True)
 class Mounted:
-    """A specimen on the table, and whether it has neither texture nor relief."""
+    """A specimen on the table, and whether it is a plane of one material."""
 
     placement: Placement
     specimen: Specimen
     table_from_part: np.ndarray  # (4, 4)
-    smooth: bool
+    blank: bool
 
 
 class Workbench:
@@ -55,9 +55,7 @@ class Workbench:
 
     def _print(self, part: str) -> PrintedBoard:
         s = self._settings.board
-        errors = BoardErrors(
-            s.print_sd_um, s.scale_sd_ppm, s.bow_sd_um, s.wedge_sd_urad, s.ink_thickness_um
-        )
+        errors = BoardErrors(s.print_sd_um, s.scale_sd_ppm, s.bow_sd_um, s.wedge_sd_urad, s.ink_thickness_um)
         return print_board(self._rig_file.board.nominal, errors, instrument_rng(self._settings.seed, part))
 
     def place(self, placement: Placement) -> None:
@@ -72,8 +70,8 @@ class Workbench:
                 pose = tilted(seed, placement.posture, printed.centres)
             elif placement.face == "printed":
                 pose = self.table_from_flat_board(placement.part)
-            else:
-                pose = flat(seed, f"{placement.part} blank")
+            else:  # lying on its ink lifts the blank face
+                pose = flat(seed, f"{placement.part} blank") @ lifted(printed.ink_thickness)
             return Mounted(placement, board(printed, placement.face), pose, placement.face == "blank")
         if Path(placement.part).suffix:
             part = load_mesh(placement.part, placement.unit, placement.pose_mm_deg)

@@ -1,7 +1,7 @@
 """Pictures of a spot board made by casting rays, independent of the pipeline's camera model and of the twin."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -9,8 +9,9 @@ import pytest
 
 from greenough.instrument.contract import SpotBoard
 
-SUPERSAMPLING = 4
+SUPERSAMPLING = 3
 WHITE_DN = 110.0
+LIT_PX = (10.84 * 101, 6.1 * 101)  # the lit field's width and height
 INK = 0.1
 
 # fx, fy, skew, cx, cy, k1, k2, p1, p2: near the paper's Table 2, with distortion of some tenths of a pixel.
@@ -24,7 +25,6 @@ class PaintedBoard:
     picture: np.ndarray  # (rows, cols) DN above black
     camera_from_board: np.ndarray  # (4, 4)
     ellipse_centres: np.ndarray  # (n, 2) px, of the imaged circles: what a detector should find
-    lit_share: np.ndarray = field(repr=False)  # (n,) light on each spot's centre, 1 in the middle of the field
 
 
 def rotation(axis: np.ndarray, angle: float) -> np.ndarray:
@@ -32,10 +32,12 @@ def rotation(axis: np.ndarray, angle: float) -> np.ndarray:
     return cv2.Rodrigues(np.asarray(axis, float) / np.linalg.norm(axis) * angle)[0]
 
 
-def pose(tilt_deg: float, towards_deg: float, turn_deg: float, shift: tuple[float, float]) -> np.ndarray:
+def make_pose(tilt_deg: float, towards_deg: float, turn_deg: float, shift: tuple[float, float]) -> np.ndarray:
     """camera_from_board of a board turned in its plane, then tilted about an axis in the table, then shifted."""
     axis = [np.cos(np.radians(towards_deg)), np.sin(np.radians(towards_deg)), 0.0]
-    table_from_board = rotation(np.array(axis), np.radians(tilt_deg)) @ rotation(np.array([0, 0, 1.0]), np.radians(turn_deg))
+    table_from_board = rotation(np.array(axis), np.radians(tilt_deg)) @ rotation(
+        np.array([0, 0, 1.0]), np.radians(turn_deg)
+    )
     look = rotation(np.array([0.0, 1.0, 0.0]), np.radians(6.0)) @ np.diag([1.0, -1.0, -1.0])  # 6° off the normal
     transform = np.eye(4)
     transform[:3, :3] = look @ table_from_board
@@ -50,8 +52,8 @@ def draw_poses(rng: np.random.Generator, count: int = 16) -> list[np.ndarray]:
         turn = 90.0 * (k % 4) + rng.uniform(-20, 20)
         towards = 360.0 * k / (count - 1) + rng.uniform(-10, 10)
         shift = (rng.uniform(-1.2, 1.2), rng.uniform(-0.7, 0.7))
-        poses.append(pose(rng.uniform(5, 25), towards, turn, shift))
-    return [*poses, pose(0.0, 0.0, 0.0, (0.0, 0.0))]
+        poses.append(make_pose(rng.uniform(5, 25), towards, turn, shift))
+    return [*poses, make_pose(0.0, 0.0, 0.0, (0.0, 0.0))]
 
 
 def distort(xy: np.ndarray, intrinsics: tuple[float, ...]) -> np.ndarray:
@@ -75,23 +77,30 @@ def undistort(uv: np.ndarray, intrinsics: tuple[float, ...]) -> np.ndarray:
     return xy
 
 
-def ellipse_centres(centres: np.ndarray, radii: np.ndarray, camera_from_board: np.ndarray, intrinsics) -> np.ndarray:
-    """Centres of the imaged circles (n, 2) px: mean of the polygon that 256 points on each circle are imaged to."""
-    angle = np.arange(256) * 2 * np.pi / 256
+def ellipse_centres(
+    centres: np.ndarray, radii: np.ndarray, camera_from_board: np.ndarray, intrinsics: tuple[float, ...] = INTRINSICS
+) -> np.ndarray:
+    """Centres (n, 2) px of the imaged circles: of the conics fitted to what 64 points on each circle are imaged to."""
+    angle = np.arange(64) * 2 * np.pi / 64
     rim = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=-1) * radii[:, None, None]
     rim[..., :2] += centres[:, None, :2]
-    xyz = rim @ camera_from_board[:3, :3].T + camera_from_board[:3, 3]
-    u, v = np.moveaxis(distort(xyz[..., :2] / xyz[..., 2:], intrinsics), -1, 0)
-    result = []
-    for k in range(len(centres)):
-        conic = np.linalg.lstsq(_conic_terms(u[k] - u[k].mean(), v[k] - v[k].mean()), np.ones(256), rcond=None)[0]
-        a, b, c, d, e = conic
-        result.append(np.linalg.solve([[2 * a, b], [b, 2 * c]], [-d, -e]) + [u[k].mean(), v[k].mean()])
-    return np.array(result)
+    uv = image_points(rim, camera_from_board, intrinsics)
+    middle = uv.mean(axis=1)
+    size = np.ptp(uv, axis=(1, 2))[:, None]
+    x, y = np.moveaxis((uv - middle[:, None]) / size[..., None], -1, 0)
+    terms = np.stack([x * x, x * y, y * y, x, y], axis=-1)  # (n, 64, 5), to sum to 1
+    across = terms.swapaxes(1, 2)
+    a, b, c, d, e = np.linalg.solve(across @ terms, across.sum(axis=2)[..., None])[..., 0].T
+    det = 4 * a * c - b * b
+    return middle + size * np.stack([(b * e - 2 * c * d) / det, (b * d - 2 * a * e) / det], axis=-1)
 
 
-def _conic_terms(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    return np.stack([x * x, x * y, y * y, x, y], axis=-1)
+def image_points(
+    points: np.ndarray, camera_from_frame: np.ndarray, intrinsics: tuple[float, ...] = INTRINSICS
+) -> np.ndarray:
+    """Pixels (..., 2) of points (..., 3)."""
+    xyz = points @ camera_from_frame[:3, :3].T + camera_from_frame[:3, 3]
+    return distort(xyz[..., :2] / xyz[..., 2:], intrinsics)
 
 
 def paint_board(
@@ -115,43 +124,47 @@ def paint_board(
     printed = board.centres() if centres is None else centres
     radii = board.diameters() / 2
     truth = ellipse_centres(printed, radii, camera_from_board, intrinsics)
-    s = SUPERSAMPLING
-    rows, cols = shape
-    reflectance = np.full((rows * s, cols * s), INK, dtype=np.float32)
     px_per_mm = intrinsics[0] / camera_from_board[2, 3]
     normal, origin = camera_from_board[:3, 2], camera_from_board[:3, 3]
+
+    def light(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        across, down = np.exp(gradient[0] * (u - intrinsics[3])), np.exp(gradient[1] * (v - intrinsics[4]))
+        if lit_field:
+            across, down = (
+                across * _field(u - intrinsics[3], LIT_PX[0] / 2),
+                down * _field(v - intrinsics[4], LIT_PX[1] / 2),
+            )
+        return WHITE_DN * np.outer(down, across)
+
+    # Only the part with spots is painted finely; the rest is ink.
+    rows, cols = shape
+    s = SUPERSAMPLING
+    left, top = np.maximum(0, truth.min(axis=0).astype(int) - 40)
+    right, bottom = np.minimum([cols, rows], truth.max(axis=0).astype(int) + 40)
+    fine_u, fine_v = _sub_pixels(left, right), _sub_pixels(top, bottom)
+    reflectance = np.full((len(fine_v), len(fine_u)), INK)
     for centre, radius, (u, v) in zip(printed, radii, truth, strict=True):
-        half = int(np.ceil(radius * px_per_mm)) + 2
-        left, right = max(0, int(u) - half), min(cols, int(u) + half + 2)
-        top, bottom = max(0, int(v) - half), min(rows, int(v) + half + 2)
-        if left >= right or top >= bottom:
+        half = radius * px_per_mm + 2
+        inside_u, inside_v = np.abs(fine_u - u) < half, np.abs(fine_v - v) < half
+        if not (inside_u.any() and inside_v.any()):
             continue
-        grid_u, grid_v = np.meshgrid(
-            (np.arange(left * s, right * s) + 0.5) / s - 0.5, (np.arange(top * s, bottom * s) + 0.5) / s - 0.5
-        )
-        ray = undistort(np.stack([grid_u, grid_v], axis=-1), intrinsics)
+        ray = undistort(np.stack(np.meshgrid(fine_u[inside_u], fine_v[inside_v]), axis=-1), intrinsics)
         ray = np.concatenate([ray, np.ones_like(ray[..., :1])], axis=-1)
         hit = ray * ((normal @ origin) / (ray @ normal))[..., None] - origin
         offset = hit @ camera_from_board[:3, :2] - centre
-        # Signed distance over its own gradient per sub-pixel: the share of the sub-pixel inside the circle.
+        # Signed distance over its own change from sub-pixel to sub-pixel: the share inside the circle.
         distance = np.hypot(offset[..., 0], offset[..., 1]) - radius
-        steepness = np.hypot(*np.gradient(distance))
-        covered = np.clip(0.5 - distance / np.maximum(steepness, 1e-9), 0.0, 1.0)
-        window = reflectance[top * s : bottom * s, left * s : right * s]
-        window += ((1.0 - INK) * covered).astype(np.float32)
+        steepness = np.hypot(*np.gradient(distance)) if min(distance.shape) > 1 else np.ones_like(distance)
+        reflectance[np.ix_(inside_v, inside_u)] += (1.0 - INK) * np.clip(0.5 - distance / steepness, 0.0, 1.0)
+    fine = cv2.GaussianBlur((light(fine_u, fine_v) * reflectance).astype(np.float32), (0, 0), blur_px * s)
+    picture = INK * light(np.arange(cols), np.arange(rows))
+    picture[top:bottom, left:right] = fine.reshape(bottom - top, s, right - left, s).mean(axis=(1, 3))
+    return PaintedBoard(picture + rng.normal(0.0, noise_dn, shape), camera_from_board, truth)
 
-    sub_v, sub_u = ((np.arange(n * s) + 0.5) / s - 0.5 for n in shape)
-    middle_u, middle_v = intrinsics[3:5]
-    light_u, light_v = np.exp(gradient[0] * (sub_u - middle_u)), np.exp(gradient[1] * (sub_v - middle_v))
-    light = WHITE_DN * np.outer(light_v, light_u)
-    share = np.ones(len(truth))
-    if lit_field:
-        field_u, field_v = _field(sub_u - middle_u, 10.84 * 101 / 2), _field(sub_v - middle_v, 6.1 * 101 / 2)
-        light *= np.outer(field_v, field_u)
-        share = _field(truth[:, 0] - middle_u, 10.84 * 101 / 2) * _field(truth[:, 1] - middle_v, 6.1 * 101 / 2)
-    fine = cv2.GaussianBlur((light * reflectance).astype(np.float32), (0, 0), blur_px * s)
-    picture = fine.reshape(rows, s, cols, s).mean(axis=(1, 3)) + rng.normal(0.0, noise_dn, shape)
-    return PaintedBoard(picture, camera_from_board, truth, share)
+
+def _sub_pixels(first: int, last: int) -> np.ndarray:
+    """Centres of the sub-pixels of pixels first to last - 1; a pixel's own centre is at its integer."""
+    return (np.arange(first * SUPERSAMPLING, last * SUPERSAMPLING) + 0.5) / SUPERSAMPLING - 0.5
 
 
 def _field(offset: np.ndarray, half: float) -> np.ndarray:
@@ -173,3 +186,18 @@ def paint() -> Callable[..., PaintedBoard]:
 @pytest.fixture(scope="session")
 def poses() -> Callable[..., list[np.ndarray]]:
     return draw_poses
+
+
+@pytest.fixture(scope="session")
+def pose() -> Callable[..., np.ndarray]:
+    return make_pose
+
+
+@pytest.fixture(scope="session")
+def imaged_circles() -> Callable[..., np.ndarray]:
+    return ellipse_centres
+
+
+@pytest.fixture(scope="session")
+def imaged_points() -> Callable[..., np.ndarray]:
+    return image_points

@@ -1,13 +1,9 @@
 """Mitsuba plugins: ``lens_sensor``, ``lens_projector`` and the one-pass ``fringe`` integrator.
 
-Import this package after a variant is set; it registers the three names, which then work in any scene.
+Importing this package registers the three names, which then work in any scene of the present variant.
 """
 
-import mitsuba as mi
-
-if mi.variant() is None:
-    raise ImportError("set a Mitsuba variant before greenough.twin.plugins is imported: mi.set_variant('llvm_ad_mono')")
-
+from ..renderer import mi
 from .fringe import FringeIntegrator
 from .lens_projector import LensProjector
 from .lens_sensor import LensSensor

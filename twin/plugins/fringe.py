@@ -4,6 +4,9 @@
 
  * - nodes: integer
      Light paths per pixel, a power of two (default: 16); ``spp`` of mi.render overrides it.
+ * - nodes_indirect: integer
+     How many more paths per pixel carry the interreflections (default: as many as ``nodes``, scaled with ``spp``).
+     They are incoherent and slow, and interreflections are faint and smooth.
  * - bounces: integer
      Surface interactions of a path: 1 is direct light only, 2 adds one interreflection (default: 2).
  * - shift_per_pixel: boolean
@@ -15,10 +18,8 @@ in all channels. Glossy surfaces are met by sampling the emitters, so that mirro
 extent that rays can hit.
 """
 
-import drjit as dr
-import mitsuba as mi
-
 from ..quadrature import nodes
+from ..renderer import dr, mi
 from .lens_projector import LensProjector
 
 DIMENSIONS_CAMERA = 4  # pixel, camera pupil
@@ -32,6 +33,7 @@ class FringeIntegrator(mi.SamplingIntegrator):
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
         self.nodes = int(props.get("nodes", 16))
+        self.nodes_indirect = int(props.get("nodes_indirect", self.nodes))
         self.bounces = int(props.get("bounces", 2))
         self.shift_per_pixel = bool(props.get("shift_per_pixel", False))
 
@@ -40,66 +42,76 @@ class FringeIntegrator(mi.SamplingIntegrator):
         if isinstance(sensor, int):
             sensor = scene.sensors()[sensor]
         size = sensor.film().crop_size()
-        channels = self.render_channels(scene, sensor, int(seed), int(spp) or self.nodes)
+        channels = self.render_channels(scene, sensor, int(seed), int(spp))
         flat = dr.empty(mi.Float, len(channels) * dr.prod(size))
         pixel = dr.arange(mi.UInt32, dr.prod(size))
         for k, channel in enumerate(channels):
             dr.scatter(flat, channel, pixel * len(channels) + k)
         return mi.TensorXf(flat, (int(size[1]), int(size[0]), len(channels)))
 
-    def render_channels(self, scene: mi.Scene, sensor: mi.Sensor, seed: int, count: int) -> list[mi.Float]:
+    def render_channels(self, scene: mi.Scene, sensor: mi.Sensor, seed: int = 0, spp: int = 0) -> list[mi.Float]:
         """The images of all patterns, N arrays of rows * cols pixels each, evaluated."""
+        nodes_direct = spp or self.nodes
+        nodes_indirect = max(2, self.nodes_indirect * nodes_direct // self.nodes)
         with dr.suspend_grad():
-            channels = self._accumulate(scene, sensor, seed, count)
+            channels = self._accumulate(scene, sensor, seed, nodes_direct, indirect=False)
             dr.eval(channels)
+            if self.bounces > 1:
+                more = self._accumulate(scene, sensor, seed, nodes_indirect, indirect=True)
+                channels = [c + m for c, m in zip(channels, more, strict=True)]
+                dr.eval(channels)
         return channels
 
     @dr.syntax
-    def _accumulate(self, scene, sensor, seed, count):
+    def _accumulate(self, scene, sensor, seed, count, indirect):
+        """Mean over ``count`` nodes of the direct or of the indirect light, N arrays."""
         size = sensor.film().crop_size()
         offset = sensor.film().crop_offset()
         cols, rows = int(size[0]), int(size[1])
-        dimensions = DIMENSIONS_CAMERA + DIMENSIONS_LIGHT + DIMENSIONS_BOUNCE * (self.bounces - 1)
+        bounces = self.bounces - 1 if indirect else 0
+        dimensions = DIMENSIONS_CAMERA + DIMENSIONS_LIGHT + DIMENSIONS_BOUNCE * bounces
         table = mi.Float(nodes(count, dimensions).ravel())
         pixel = dr.arange(mi.UInt32, rows * cols)
         column, row = mi.Float(pixel % cols), mi.Float(pixel // cols)
         if dr.hint(self.shift_per_pixel, mode="scalar"):
-            rng = mi.PCG32(rows * cols, initstate=seed)
+            rng = mi.PCG32(rows * cols, initstate=2 * seed + indirect)
             shift = [rng.next_float32() for _ in range(dimensions)]
         else:
             shift = [mi.Float(0) for _ in range(dimensions)]
 
-        projectors = [e for e in scene.emitters() if isinstance(e, LensProjector)]
-        others = [e for e in scene.emitters() if not isinstance(e, LensProjector)]
-        n = max((p.n_patterns for p in projectors), default=1)
-        total = [mi.Float(0) for _ in range(n)]
-        i = mi.UInt32(0)
-        while i < count:
+        total = [mi.Float(0) for _ in range(_channels(scene))]
+        i, end = mi.UInt32(0), dr.opaque(mi.UInt32, count)
+        while i < end:
             u = []
             for j in range(dimensions):
                 at = dr.gather(mi.Float, table, i * dimensions + j) + shift[j]
                 u.append(at - dr.floor(at))
             film = mi.Point2f((column + offset.x + u[0]) / cols, (row + offset.y + u[1]) / rows)
             ray, weight = sensor.sample_ray(0.0, 0.5, film, mi.Point2f(u[2], u[3]))
-            path = self._trace(scene, ray, weight, u[DIMENSIONS_CAMERA:], projectors, others, n)
-            for k in range(n):
+            pupil = mi.Point2f(u[4], u[5])
+            if dr.hint(indirect, mode="scalar"):
+                path = self._indirect(scene, mi.Ray3f(ray), mi.Float(weight[0]), pupil, u[6:])
+            else:
+                path = self._visible(scene, mi.Ray3f(ray), mi.Float(weight[0]), pupil)
+            for k in range(len(total)):
                 total[k] += path[k]
             i += 1
         return [t / count for t in total]
 
-    def _trace(self, scene, ray, weight, u, projectors, others, n):
-        """Radiance of all patterns along one ray, N values, with the samples ``u`` of light and bounces."""
-        throughput = mi.Float(weight[0])
-        pupil = mi.Point2f(u[0], u[1])
-        ray = mi.Ray3f(ray)
+    def _visible(self, scene, ray, throughput, pupil):
+        """Radiance of what a ray sees, lit directly, and of emitters it hits: N values."""
+        si = scene.ray_intersect(ray, mi.RayFlags.All, coherent=True)
+        glow = throughput * si.emitter(scene).eval(si)[0]
+        return [light + glow for light in _direct(scene, si, ray, throughput, si.is_valid(), pupil)]
+
+    def _indirect(self, scene, ray, throughput, pupil, u):
+        """Radiance that reaches the first surface by way of others: N values."""
         si = scene.ray_intersect(ray, mi.RayFlags.All, coherent=True)
         active = si.is_valid()
-        result = self._direct(scene, si, ray, throughput, active, pupil, projectors, others, n)
-        glow = throughput * si.emitter(scene).eval(si)[0]
-        result = [r + glow for r in result]
-        for bounce in range(1, self.bounces):
-            lobe = u[DIMENSIONS_LIGHT + DIMENSIONS_BOUNCE * (bounce - 1) :]
-            sample, factor = si.bsdf(ray).sample(mi.BSDFContext(), si, lobe[0], mi.Point2f(lobe[1], lobe[2]), active)
+        result = [mi.Float(0) for _ in range(_channels(scene))]
+        for bounce in range(self.bounces - 1):
+            lobe, x, y = u[DIMENSIONS_BOUNCE * bounce : DIMENSIONS_BOUNCE * (bounce + 1)]
+            sample, factor = si.bsdf(ray).sample(mi.BSDFContext(), si, lobe, mi.Point2f(x, y), active)
             throughput *= factor[0]
             ray = si.spawn_ray(si.to_world(sample.wo))
             si = scene.ray_intersect(ray, mi.RayFlags.All, coherent=False, active=active & (throughput > 0))
@@ -108,35 +120,39 @@ class FringeIntegrator(mi.SamplingIntegrator):
             light = dr.if_stmt(
                 args=(si, ray, throughput, active),
                 cond=active,
-                true_fn=lambda si, ray, throughput, active: self._direct(
-                    scene, si, ray, throughput, active, pupil, projectors, others, n
-                ),
-                false_fn=lambda si, ray, throughput, active: [mi.Float(0) for _ in range(n)],
+                true_fn=lambda si, ray, throughput, active: _direct(scene, si, ray, throughput, active, pupil),
+                false_fn=lambda si, ray, throughput, active: [mi.Float(0) for _ in range(_channels(scene))],
             )
             result = [r + light[k] for k, r in enumerate(result)]
         return result
 
-    def _direct(self, scene, si, ray, throughput, active, pupil, projectors, others, n):
-        """Light of all emitters reflected at one surface point, N values."""
-        context = mi.BSDFContext()
-        bsdf = si.bsdf(ray)
-        result = [mi.Float(0) for _ in range(n)]
-        for projector in projectors:
-            point, column, row, white = projector.aim(si.p, pupil)
+    def to_string(self) -> str:
+        return f"FringeIntegrator[nodes={self.nodes}, bounces={self.bounces}]"
+
+
+def _channels(scene: mi.Scene) -> int:
+    return max((e.n_patterns for e in scene.emitters() if isinstance(e, LensProjector)), default=1)
+
+
+def _direct(scene, si, ray, throughput, active, pupil):
+    """Light of all emitters reflected at one surface point, N values."""
+    context = mi.BSDFContext()
+    bsdf = si.bsdf(ray)
+    result = [mi.Float(0) for _ in range(_channels(scene))]
+    for emitter in scene.emitters():
+        if isinstance(emitter, LensProjector):
+            point, column, row, white = emitter.aim(si.p, pupil)
             direction = dr.normalize(mi.Vector3f(point - si.p))
             facing = active & (dr.dot(si.n, direction) > 0)
             reflected = bsdf.eval(context, si, si.to_local(direction), facing)[0]
             facing &= ~scene.ray_test(si.spawn_ray_to(point), coherent=True, active=facing)
             share = dr.select(facing, throughput * white * reflected, 0.0)
-            light = projector.light(column, row, facing)
-            result = [r + share * light[k % projector.n_patterns] for k, r in enumerate(result)]
-        for emitter in others:
+            light = emitter.light(column, row, facing)
+            result = [r + share * light[k % emitter.n_patterns] for k, r in enumerate(result)]
+        else:
             ds, radiance = emitter.sample_direction(si, pupil, active)
             reflected = bsdf.eval(context, si, si.to_local(ds.d), active)[0]
             seen = active & (ds.pdf > 0) & ~scene.ray_test(si.spawn_ray_to(ds.p), active=active)
             glow = dr.select(seen, throughput * radiance[0] * reflected, 0.0)
             result = [r + glow for r in result]
-        return result
-
-    def to_string(self) -> str:
-        return f"FringeIntegrator[nodes={self.nodes}, bounces={self.bounces}]"
+    return result

@@ -28,11 +28,10 @@ The light of a white pattern on planes perpendicular to the axis is constant ove
 ``projector``: an ideal lens has no natural vignetting.
 """
 
-import drjit as dr
-import mitsuba as mi
 import numpy as np
 
 from ..dmd import Mirrors, band_limited, square_pixels
+from ..renderer import dr, mi
 
 
 class LensProjector(mi.Emitter):
@@ -116,9 +115,7 @@ class LensProjector(mi.Emitter):
         inside = active & (j >= 0) & (j < cols - 1) & (i >= 0) & (i < rows - 1)
         cell = mi.UInt32(i * cols + j) * n
         below = mi.UInt32((i + 1) * cols + j) * n
-        return [
-            dr.lerp(self._lerp(cell + k, n, t, inside), self._lerp(below + k, n, t, inside), s) for k in range(n)
-        ]
+        return [dr.lerp(self._lerp(cell + k, n, t, inside), self._lerp(below + k, n, t, inside), s) for k in range(n)]
 
     def _lerp(self, cell: mi.UInt32, step: int, t: mi.Float, active: mi.Bool) -> mi.Float:
         left = dr.gather(mi.Float, self.values, cell, active)

@@ -21,11 +21,10 @@
      diffracts like the lens it stands for).
 """
 
-import drjit as dr
-import mitsuba as mi
 import numpy as np
 
 from ..diffraction import pixel_response
+from ..renderer import dr, mi
 
 
 class LensSensor(mi.Sensor):

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
 from greenough.instrument.contract import BLANK, Frames, Placement, Rig
 from greenough.instrument.errors import InputError
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
 from greenough.instrument import hdf5
 from greenough.instrument.contract import Procedure, RigIdentity, SpotBoard
 from greenough.instrument.errors import InputError

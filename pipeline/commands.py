@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
+
 from greenough.instrument.contract import Placement
 from greenough.instrument.errors import InputError
 from greenough.instrument.opening import open_rig

@@ -8,6 +8,7 @@ import igl
 import numpy as np
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
+
 from greenough.instrument.errors import InputError
 
 from .point_cloud import Mesh, PointCloud
@@ -39,8 +40,8 @@ class ErrorRow:
         Of the absolute value.
     """
 
-    quantity: Literal["signed_distance", "vertical"]
-    points: Literal["all", "smooth"]
+    quantity: str
+    points: str
     n: int
     bias_um: float
     rmse_um: float
@@ -147,7 +148,7 @@ class Surface:
     def closest(self, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Distance (n,), face index (n,) and position (n, 3) of the closest point of the surface to each point."""
         square, face, position = self.tree.squared_distance(self.vertices, self.faces, np.ascontiguousarray(xyz))
-        return np.sqrt(square), face, position
+        return np.sqrt(square), np.asarray(face), np.asarray(position)
 
 
 def signed_distances(xyz: np.ndarray, surface: Surface) -> np.ndarray:
@@ -294,11 +295,11 @@ def _edge_key(start: np.ndarray, end: np.ndarray, vertices: int) -> np.ndarray:
 def _row(quantity: str, points: str, errors_mm: np.ndarray) -> ErrorRow:
     errors_um = 1e3 * errors_mm[np.isfinite(errors_mm)]
     if len(errors_um) == 0:
-        return ErrorRow(quantity, points, 0, *[float("nan")] * 4)  # type: ignore[arg-type]
+        return ErrorRow(quantity, points, 0, *[float("nan")] * 4)
     size = np.abs(errors_um)
     return ErrorRow(
-        quantity=quantity,  # type: ignore[arg-type]
-        points=points,  # type: ignore[arg-type]
+        quantity=quantity,
+        points=points,
         n=len(errors_um),
         bias_um=float(errors_um.mean()),
         rmse_um=float(np.sqrt(np.mean(errors_um**2))),

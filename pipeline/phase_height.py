@@ -15,6 +15,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
+
 from greenough.instrument.errors import InputError
 
 COEFFICIENTS = ("m1", "m0", "n1", "r3")

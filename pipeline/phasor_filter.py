@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
+
 from greenough.instrument.errors import InputError
 
 from .decode import PhaseMap

@@ -7,9 +7,11 @@ Clouds and meshes are written as binary little-endian PLY in mm, with facts in h
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
+
 from greenough.instrument.errors import InputError
 from greenough.instrument.files import atomic_path
 
@@ -278,7 +280,8 @@ def _read_triangles(path: Path, header: _Header) -> Mesh | None:
 
 def _read_table_with_trimesh(path: Path) -> np.ndarray:
     try:
-        points = np.asarray(trimesh.load(path, process=False).vertices, dtype=np.float64)
+        loaded: Any = trimesh.load(path, process=False)
+        points = np.asarray(loaded.vertices, dtype=np.float64)
     except Exception as error:  # trimesh raises whatever its format readers meet
         raise InputError(f"the point cloud {path} cannot be read ({error}): give a PLY file") from None
     table = np.empty(len(points), dtype=[(axis, "<f8") for axis in "xyz"])

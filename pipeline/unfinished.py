@@ -11,6 +11,7 @@ from typing import Any
 
 import h5py
 import numpy as np
+
 from greenough.instrument import hdf5
 from greenough.instrument.contract import Rig
 from greenough.instrument.errors import InputError
@@ -103,7 +104,7 @@ class Unfinished:
         with hdf5.read(path, KIND, VERSION) as file:
             arrays = file["arrays"]
             assert isinstance(arrays, h5py.Group)
-            return Step({key: hdf5.get(file, f"arrays/{key}") for key in arrays}, exposure_us, exposures)
+            return Step({str(key): hdf5.get(file, f"arrays/{key}") for key in arrays}, exposure_us, exposures)
 
     def finish(self, name: str, step: Step) -> None:
         """Keep a finished step; its file appears whole or not at all."""

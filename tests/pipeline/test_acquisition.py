@@ -8,13 +8,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
+from scipy.special import expit
+
 from greenough.instrument.contract import CameraNoise, Frames, Placement, Procedure, RigIdentity, SpotBoard
 from greenough.instrument.errors import InputError
 from greenough.pipeline.acquisition import calibrate, measure, plane_heights
 from greenough.pipeline.calibration import Calibration
 from greenough.pipeline.unfinished import Unfinished
-from scipy.spatial.transform import Rotation
-from scipy.special import expit
 
 SHAPE = (360, 480)
 FOCAL_PX = 8506.0

@@ -3,13 +3,14 @@ from dataclasses import replace
 import h5py
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
 from greenough.instrument.contract import Procedure, RigIdentity, SpotBoard
 from greenough.instrument.errors import InputError
 from greenough.pipeline.calibration import Calibration
 from greenough.pipeline.camera_model import CameraModel
 from greenough.pipeline.phase_height import PhaseHeight
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 IDENTITY = RigIdentity("bench 3", "camera 17", "projector 4", "ab" * 32)
 

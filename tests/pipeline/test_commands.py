@@ -4,6 +4,7 @@ import sys
 
 import numpy as np
 import pytest
+
 from greenough.instrument.command import run
 from greenough.instrument.contract import Procedure, RigIdentity, SpotBoard
 from greenough.pipeline import commands

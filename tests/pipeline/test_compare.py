@@ -2,10 +2,11 @@ import igl
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial.transform import Rotation
+
 from greenough.instrument.errors import InputError
 from greenough.pipeline.compare import Surface, compare, signed_distances, vertical_errors
 from greenough.pipeline.point_cloud import Mesh, PointCloud
-from scipy.spatial.transform import Rotation
 
 
 def height_field(height, size=(10.0, 6.0), n=161):

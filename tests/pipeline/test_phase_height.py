@@ -1,9 +1,10 @@
 import numpy as np
 import pytest
-from greenough.instrument.errors import InputError
-from greenough.pipeline.phase_height import MIN_PLANES, fit_phase_height
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
+from greenough.instrument.errors import InputError
+from greenough.pipeline.phase_height import MIN_PLANES, fit_phase_height
 
 HEIGHTS = (np.arange(30) - 14.5) * 0.1
 

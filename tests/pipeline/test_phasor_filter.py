@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+
 from greenough.instrument.errors import InputError
 from greenough.pipeline.decode import PhaseMap
 from greenough.pipeline.phasor_filter import filter_phasors

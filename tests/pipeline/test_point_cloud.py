@@ -1,11 +1,12 @@
 import numpy as np
 import pytest
 import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
 from greenough.instrument.errors import InputError
 from greenough.pipeline.point_cloud import Mesh, PointCloud, read_cloud, read_mesh, write_cloud, write_mesh
 from greenough.pipeline.reconstruct import PointMap
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 
 def some_cloud(n=50):

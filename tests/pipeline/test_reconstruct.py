@@ -1,5 +1,9 @@
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
 from greenough.instrument.contract import Procedure, RigIdentity, SpotBoard
 from greenough.instrument.errors import InputError
 from greenough.pipeline.calibration import Calibration
@@ -7,9 +11,6 @@ from greenough.pipeline.camera_model import CameraModel
 from greenough.pipeline.decode import PhaseMap
 from greenough.pipeline.phase_height import PhaseHeight
 from greenough.pipeline.reconstruct import points_at_height, reconstruct
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from scipy.spatial.transform import Rotation
 
 SHAPE = (24, 32)
 

@@ -5,9 +5,10 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+from scipy.spatial.transform import Rotation
+
 from greenough.instrument.contract import SpotBoard
 from greenough.instrument.errors import InputError
-from scipy.spatial.transform import Rotation
 
 from .camera_model import CameraModel
 from .spots import Spots
@@ -119,7 +120,7 @@ def calibrate_camera(
     sigma = np.array(
         [spots.sigma_px if isinstance(spots, Spots) else np.zeros(len(spots)) for spots in observations], dtype=float
     )
-    seen = np.isfinite(centres).all(axis=-1)
+    seen = np.all(np.isfinite(centres), axis=-1)
     _check(centres, seen, names)
     nominal, radii = board.centres(), board.diameters() / 2
     _check_tilts(centres, seen, nominal, names)
@@ -151,8 +152,8 @@ class _Views:
 def _check(centres: np.ndarray, seen: np.ndarray, names: list[str]) -> None:
     if len(centres) < MIN_POSTURES:
         raise InputError(
-            f"the camera cannot be calibrated from {len(centres)} postures of the board "
-            f"({', '.join(names) or 'none'}): at least {MIN_POSTURES} are needed; add postures with tilts of 5 to 25 degrees in different directions"
+            f"the camera cannot be calibrated from {len(centres)} postures of the board ({', '.join(names)}): at least "
+            f"{MIN_POSTURES} are needed; add postures with tilts of 5 to 25 degrees in different directions"
         )
     poor = [f"{name} ({count})" for name, count in zip(names, seen.sum(axis=1), strict=True) if count < _MIN_POINTS]
     if poor:

@@ -2,9 +2,10 @@
 
 import cv2
 import numpy as np
+from scipy.spatial import KDTree
+
 from greenough.instrument.contract import SpotBoard
 from greenough.instrument.errors import InputError
-from scipy.spatial import cKDTree
 
 MIN_SPOTS = 20  # fewer cannot tell an accidental pattern from the board
 _CELL_TOLERANCE = 0.2  # of a pitch: distance of a spot from its lattice point
@@ -93,10 +94,10 @@ def _grow_lattice(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarra
 def _lattice_basis(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
     """Two shortest common steps between neighbours, right-handed in (u, v), and a point that has all four."""
     neighbours = min(9, len(points))
-    _, near = cKDTree(points).query(points, k=neighbours)
+    near = np.asarray(KDTree(points).query(points, k=neighbours)[1])
     steps = (points[near[:, 1:]] - points[:, None]).reshape(-1, 2)
     scale = np.median(np.linalg.norm(points[near[:, 1]] - points, axis=1))
-    tree = cKDTree(steps)
+    tree = KDTree(steps)
     alike = tree.query_ball_point(steps, 0.15 * scale)
     counts = np.array([len(group) for group in alike])
     common = np.flatnonzero(counts >= 0.4 * counts.max())

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+
 from greenough.instrument.contract import SpotBoard
 from greenough.instrument.errors import InputError
 
@@ -115,8 +116,9 @@ def _bright_blobs(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     width, height = stats[:, cv2.CC_STAT_WIDTH], stats[:, cv2.CC_STAT_HEIGHT]
     inside = (left > 0) & (top > 0) & (left + width < cols) & (top + height < rows)
     v, u = np.nonzero(mask)
-    which = blob[v, u]
-    du, dv = u - middles[which, 0], v - middles[which, 1]
+    which = np.asarray(blob)[v, u]
+    middle_u, middle_v = np.asarray(middles)[which].T
+    du, dv = u - middle_u, v - middle_v
     # A filled ellipse has a variance of axis²/4 along each axis; a pixel adds its own 1/12.
     uu, uv, vv = (np.bincount(which, weights=product, minlength=count) for product in (du * du, du * dv, dv * dv))
     uu, uv, vv = uu / area + 1 / 12, uv / area, vv / area + 1 / 12

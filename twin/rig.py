@@ -223,7 +223,7 @@ class Renderer:
         return {
             "type": "scene",
             "embree_use_robust_intersections": True,
-            "integrator": integrator_dict(self._settings.render, mounted.blank),
+            "integrator": integrator_dict(self._settings.render, mounted.plain, mounted.flat),
             "sensor": self._sensor,
             "projector": projector,
         } | specimen_dict(self._workbench.parts_in_twin(), self._settings.render)

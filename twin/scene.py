@@ -70,13 +70,13 @@ def specimen_dict(parts: Sequence[Part], render: RenderSettings) -> dict[str, mi
     return {f"part_{k}": _mesh(f"part_{k}", part, render.diffuse_only) for k, part in enumerate(parts)}
 
 
-def integrator_dict(render: RenderSettings, blank: bool) -> dict[str, Any]:
-    """The one-pass integrator; ``blank`` says that the specimen is a plane of one material, which cannot light itself."""
+def integrator_dict(render: RenderSettings, plain: bool, flat: bool) -> dict[str, Any]:
+    """The one-pass integrator for a specimen that is ``plain`` (one material, no relief) or ``flat`` (no relief)."""
     return {
         "type": "fringe",
-        "nodes": render.nodes_blank if blank else render.nodes,
+        "nodes": render.nodes_plain if plain else render.nodes,
         "nodes_indirect": render.nodes_indirect,
-        "bounces": 1 if blank else render.bounces,
+        "bounces": 1 if flat else render.bounces,
     }
 
 

@@ -23,12 +23,13 @@ BOARDS = ("board", "second-board")
 
 @dataclass(frozen=True)
 class Mounted:
-    """A specimen on the table, and whether it is a plane of one material."""
+    """A specimen on the table: whether it is of one colour and without relief decides how it must be sampled."""
 
     placement: Placement
     specimen: Specimen
     table_from_part: np.ndarray  # (4, 4)
-    blank: bool
+    plain: bool  # one material and no relief
+    flat: bool  # no relief: it cannot light itself
 
 
 class Workbench:
@@ -72,12 +73,13 @@ class Workbench:
                 pose = self.table_from_flat_board(placement.part)
             else:  # lying on its ink lifts the blank face
                 pose = flat(seed, f"{placement.part} blank") @ lifted(printed.ink_thickness)
-            return Mounted(placement, board(printed, placement.face), pose, placement.face == "blank")
+            return Mounted(placement, board(printed, placement.face), pose, plain=placement.face == "blank", flat=True)
         if Path(placement.part).suffix:
             part = load_mesh(placement.part, placement.unit, placement.pose_mm_deg)
-            return Mounted(placement, part, np.eye(4), False)
+            return Mounted(placement, part, np.eye(4), plain=False, flat=False)
         part = specimen(placement.part, seed)
-        return Mounted(placement, part, flat(seed, placement.part), placement.part == "plane")
+        is_plane = placement.part == "plane"
+        return Mounted(placement, part, flat(seed, placement.part), plain=is_plane, flat=is_plane)
 
     def table_from_flat_board(self, part: str = "board") -> np.ndarray:
         """Motion (4, 4) of the board that lies on its blank face."""

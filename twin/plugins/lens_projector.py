@@ -33,6 +33,8 @@ import numpy as np
 from ..dmd import Mirrors, band_limited, square_pixels
 from ..renderer import dr, mi
 
+PACKET = 4  # values that one gather reads
+
 
 class LensProjector(mi.Emitter):
     """See the module for the parameters."""
@@ -64,8 +66,10 @@ class LensProjector(mi.Emitter):
             table = band_limited(patterns, self.mirrors, self.na, self.wavelength)
         else:
             table = square_pixels(patterns)
-        self.values = mi.Float(table.values.ravel())
         self.table_shape = table.values.shape[:2]  # (table_rows, table_cols)
+        self.padded = -(-self.n_patterns // PACKET) * PACKET
+        padding = ((0, 0), (0, 0), (0, self.padded - self.n_patterns))
+        self.values = mi.Float(np.pad(table.values, padding).ravel())
         self.row_profile = mi.Float(table.row_profile)
         self.origin, self.cells, self.interpolate = table.origin, table.cells, table.interpolate
 
@@ -91,36 +95,36 @@ class LensProjector(mi.Emitter):
     @dr.syntax
     def light(self, column: mi.Float, row: mi.Float, active: mi.Bool) -> list[mi.Float]:
         """Relative light of every pattern at (column, row): a list of N."""
-        n = self.n_patterns
         x = (column - self.origin[0]) * self.cells[0]
         y = (row - self.origin[1]) * self.cells[1]
         rows, cols = self.table_shape
         if dr.hint(not self.interpolate, mode="scalar"):
             i, j = mi.Int32(dr.floor(y + 0.5)), mi.Int32(dr.floor(x + 0.5))
             inside = active & (i >= 0) & (i < rows) & (j >= 0) & (j < cols)
-            cell = mi.UInt32(i * cols + j) * n
-            return [dr.gather(mi.Float, self.values, cell + k, inside) for k in range(n)]
-        j = mi.Int32(dr.floor(x))
-        t = x - j
+            return self._cell(mi.UInt32(i * cols + j), inside)
+        i, j = mi.Int32(dr.floor(y)), mi.Int32(dr.floor(x))
+        s, t = y - i, x - j
+        inside = active & (j >= 0) & (j < cols - 1) & (i >= 0)
         if dr.hint(rows == 1, mode="scalar"):
-            i = mi.Int32(dr.floor(y))
-            inside = active & (j >= 0) & (j < cols - 1) & (i >= 0) & (i < dr.width(self.row_profile) - 1)
+            inside &= i < dr.width(self.row_profile) - 1
             above = dr.gather(mi.Float, self.row_profile, mi.UInt32(i), inside)
             below = dr.gather(mi.Float, self.row_profile, mi.UInt32(i + 1), inside)
-            share = dr.lerp(above, below, y - i)
-            cell = mi.UInt32(j) * n
-            return [share * self._lerp(cell + k, n, t, inside) for k in range(n)]
-        i = mi.Int32(dr.floor(y))
-        s = y - i
-        inside = active & (j >= 0) & (j < cols - 1) & (i >= 0) & (i < rows - 1)
-        cell = mi.UInt32(i * cols + j) * n
-        below = mi.UInt32((i + 1) * cols + j) * n
-        return [dr.lerp(self._lerp(cell + k, n, t, inside), self._lerp(below + k, n, t, inside), s) for k in range(n)]
+            share = dr.lerp(above, below, s)
+            return [share * value for value in self._between_columns(mi.UInt32(j), t, inside)]
+        inside &= i < rows - 1
+        upper = self._between_columns(mi.UInt32(i * cols + j), t, inside)
+        lower = self._between_columns(mi.UInt32((i + 1) * cols + j), t, inside)
+        return [dr.lerp(upper[k], lower[k], s) for k in range(self.n_patterns)]
 
-    def _lerp(self, cell: mi.UInt32, step: int, t: mi.Float, active: mi.Bool) -> mi.Float:
-        left = dr.gather(mi.Float, self.values, cell, active)
-        right = dr.gather(mi.Float, self.values, cell + step, active)
-        return dr.lerp(left, right, t)
+    def _between_columns(self, cell: mi.UInt32, t: mi.Float, active: mi.Bool) -> list[mi.Float]:
+        left, right = self._cell(cell, active), self._cell(cell + 1, active)
+        return [dr.lerp(left[k], right[k], t) for k in range(self.n_patterns)]
+
+    def _cell(self, cell: mi.UInt32, active: mi.Bool) -> list[mi.Float]:
+        """All patterns in one cell, read four at a time: they lie side by side."""
+        packets = self.padded // PACKET
+        read = [dr.gather(mi.Vector4f, self.values, cell * packets + k, active) for k in range(packets)]
+        return [read[k // PACKET][k % PACKET] for k in range(self.n_patterns)]
 
     def sample_direction(self, it, sample, active=True):
         """A point of the pupil, drawn uniformly, and the light that ``it.p`` gets from there through one pattern."""

@@ -13,8 +13,12 @@ import numpy as np
 from .diffraction import optical_transfer
 
 MARGIN = 16  # columns and rows beyond the array that still get diffracted light
-COLUMN_CELLS = 16  # cells per column of a pattern without rows
+COLUMN_CELLS = 4  # cells per column of a pattern without rows, see below
 IMAGE_CELLS = (4, 2)  # cells per column and per row of a pattern with rows
+
+# Interpolating linearly between cells takes the chord for the arc of a fringe's phasor. Over an angle a per cell the
+# phase is wrong by at most a^3 / 62 (the cubic term): 4e-5 rad for a fringe of 12 columns. A small table stays
+# in the processor's cache, which is what the time of a stack hangs on.
 
 
 @dataclass(frozen=True)

@@ -125,7 +125,7 @@ def calibrate_camera(
     nominal, radii = board.centres(), board.diameters() / 2
     _check_tilts(centres, seen, nominal, names)
     camera, poses = _start(centres, seen, nominal, shape)
-    views = _Views(np.where(seen[..., None], centres, 0.0), seen, nominal, radii)
+    views = _Views(np.where(seen[..., None], centres, 0.0), seen, nominal, radii, _k2_prior_sd(camera))
     variance = np.ones(seen.shape)  # of one coordinate of one spot, (postures, spots)
     for _ in range(2):
         camera, poses = _adjust(camera, poses, views, variance)
@@ -147,6 +147,7 @@ class _Views:
     seen: np.ndarray  # (postures, spots)
     nominal: np.ndarray  # (spots, 2)
     radii: np.ndarray  # (spots,)
+    k2_sd: float  # prior
 
 
 def _check(centres: np.ndarray, seen: np.ndarray, names: list[str]) -> None:
@@ -270,26 +271,40 @@ def _jacobians(camera: CameraModel, poses: np.ndarray, views: _Views) -> np.ndar
     return np.where(views.seen[..., None, None], blocks, 0.0)
 
 
+def _k2_prior_sd(camera: CameraModel) -> float:
+    corner = np.hypot(*camera.shape) / 2 / camera.fx
+    return _K2_CORNER_PX / (camera.fx * corner**5)
+
+
 def _columns(posture: int) -> np.ndarray:
     """Where a posture's 15 parameters stand among all."""
     first = len(INTRINSICS)
     return np.r_[0:first, first + 6 * posture : first + 6 * posture + 6]
 
 
-def _normal_matrix(camera: CameraModel, jacobians: np.ndarray, variance: np.ndarray) -> np.ndarray:
+def _normal_matrix(jacobians: np.ndarray, variance: np.ndarray, k2_sd: float) -> np.ndarray:
     """Information on all parameters, (9 + 6 postures,) squared, the prior on k2 included."""
     size = len(INTRINSICS) + 6 * len(jacobians)
     normal = np.zeros((size, size))
     for k, block in enumerate(jacobians):
+        flat = (block / np.sqrt(variance[k])[:, None, None]).reshape(-1, block.shape[-1])
         used = _columns(k)
-        normal[np.ix_(used, used)] += np.einsum("nai,naj,n->ij", block, block, 1.0 / variance[k], optimize=True)
-    normal[_K2, _K2] += 1.0 / _k2_prior_sd(camera) ** 2
+        normal[np.ix_(used, used)] += flat.T @ flat
+    normal[_K2, _K2] += k2_sd**-2
     return normal
 
 
-def _k2_prior_sd(camera: CameraModel) -> float:
-    corner = np.hypot(*camera.shape) / 2 / camera.fx
-    return _K2_CORNER_PX / (camera.fx * corner**5)
+def _solve(normal: np.ndarray, gradient: np.ndarray) -> np.ndarray:
+    """Solve for a step by eliminating the poses, which do not see each other, from the intrinsic parameters."""
+    first = len(INTRINSICS)
+    starts = range(first, len(normal), 6)
+    own = np.array([normal[k : k + 6, k : k + 6] for k in starts])  # (postures, 6, 6)
+    cross = np.array([normal[:first, k : k + 6] for k in starts])  # (postures, 9, 6)
+    transfer = np.linalg.solve(own, cross.transpose(0, 2, 1))  # (postures, 6, 9)
+    alone = np.linalg.solve(own, gradient[first:].reshape(-1, 6, 1))  # (postures, 6, 1)
+    reduced = normal[:first, :first] - np.sum(cross @ transfer, axis=0)
+    intrinsic = np.linalg.solve(reduced, gradient[:first] - np.sum(cross @ alone, axis=0)[:, 0])
+    return np.concatenate([intrinsic, (alone[..., 0] - transfer @ intrinsic).ravel()])
 
 
 def _adjust(
@@ -299,21 +314,19 @@ def _adjust(
 
     def cost(camera: CameraModel, poses: np.ndarray) -> float:
         squares = np.sum(_residuals(camera, poses, views) ** 2, axis=-1) / variance
-        return float(squares.sum() + (camera.k2 / _k2_prior_sd(camera)) ** 2)
+        return float(squares.sum() + (camera.k2 / views.k2_sd) ** 2)
 
     damping, now = 1e-3, cost(camera, poses)
     for _ in range(_ITERATIONS):
         jacobians = _jacobians(camera, poses, views)
-        normal = _normal_matrix(camera, jacobians, variance)
+        normal = _normal_matrix(jacobians, variance, views.k2_sd)
         weighted = _residuals(camera, poses, views) / variance[..., None]
         gradient = np.zeros(len(normal))
         for k, block in enumerate(jacobians):
-            gradient[_columns(k)] += np.einsum("nai,na->i", block, weighted[k])
-        gradient[_K2] -= camera.k2 / _k2_prior_sd(camera) ** 2
-        scale = np.sqrt(np.diag(normal))
-        scaled = normal / np.outer(scale, scale)
+            gradient[_columns(k)] += np.tensordot(weighted[k], block, axes=2)
+        gradient[_K2] -= camera.k2 / views.k2_sd**2
         while True:
-            step = np.linalg.solve(scaled + damping * np.eye(len(scaled)), gradient / scale) / scale
+            step = _solve(normal + damping * np.diag(np.diag(normal)), gradient)
             trial_camera = _changed(camera, step[: len(INTRINSICS)])
             trial_poses = _moved(poses, step[len(INTRINSICS) :].reshape(-1, 6))
             then = cost(trial_camera, trial_poses)
@@ -321,10 +334,10 @@ def _adjust(
                 break
             damping *= 10.0
         if then > now:
-            break
-        camera, poses, now = trial_camera, trial_poses, then
-        damping *= 0.1
-        if step @ normal @ step < 1e-6:
+            break  # at the rounding of the cost
+        settled = damping < 0.01 and step @ normal @ step < 1e-6
+        camera, poses, now, damping = trial_camera, trial_poses, then, 0.1 * damping
+        if settled:
             break
     return camera, poses
 
@@ -367,10 +380,10 @@ def _covariance(
 ) -> np.ndarray:
     """Covariance of all parameters from independent noise and from print errors that every posture repeats."""
     jacobians = _jacobians(camera, poses, views)
-    normal = _normal_matrix(camera, jacobians, variance)
+    normal = _normal_matrix(jacobians, variance, views.k2_sd)
     scale = np.sqrt(np.diag(normal))
     inverse = np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale)
-    noise = _normal_matrix(camera, jacobians, variance**2 / noise_sd**2)
+    noise = _normal_matrix(jacobians, variance**2 / noise_sd**2, views.k2_sd)
     spots = len(views.nominal)
     by_print = np.zeros((len(normal), 2 * spots))  # what a unit print error adds to the gradient
     for k, (block, place) in enumerate(zip(jacobians, _by_place(camera, poses, views), strict=True)):

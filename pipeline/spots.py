@@ -116,7 +116,7 @@ def _bright_blobs(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     width, height = stats[:, cv2.CC_STAT_WIDTH], stats[:, cv2.CC_STAT_HEIGHT]
     inside = (left > 0) & (top > 0) & (left + width < cols) & (top + height < rows)
     v, u = np.nonzero(mask)
-    which = np.asarray(blob)[v, u]
+    which = np.asarray(blob, dtype=np.intp)[v, u]
     middle_u, middle_v = np.asarray(middles)[which].T
     du, dv = u - middle_u, v - middle_v
     # A filled ellipse has a variance of axis²/4 along each axis; a pixel adds its own 1/12.

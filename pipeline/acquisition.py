@@ -37,7 +37,8 @@ def calibrate(
 
     The board is shown tilted in all postures but one, then flat, each with fringes, from whose background the spots
     are found. It is then turned over, and the stage lifts its blank side through the planes. The flat posture gives the
-    world frame, the stage's readings give the heights, and stage position 0 is z = 0 of both.
+    world frame, the stage's readings give the heights, and stage position 0 is z = 0 of both. The exposure is set once
+    for each side, and again after a posture in which the board was not found.
 
     Every finished posture and plane is kept in ``OUT.partial``; when the run is interrupted, the same call with a rig
     opened at ``exposures_done=Unfinished.beside(out).exposures`` goes on from there, to the same calibration. The
@@ -232,6 +233,7 @@ class _Acquirer:
         self._fringes = FringeSet(rig.procedure.periods_px, rig.procedure.steps)
         self._patterns = self._fringes.patterns(*rig.projector.shape)
         self._exposure_us: float | None = None
+        self._exposed = False  # for the printed side
         self._blank_side_up = False
         self.exposures = 0
 
@@ -241,7 +243,8 @@ class _Acquirer:
         def take() -> dict[str, np.ndarray]:
             self._rig.operator.place(placement)
             self._rig.stage.move_to_mm(0.0)
-            auto_exposure(self._rig)
+            if not self._exposed:
+                auto_exposure(self._rig)
             _, phase_map = self._capture()
             try:
                 spots = detect_spots(phase_map.background, self._rig.board)
@@ -253,6 +256,7 @@ class _Acquirer:
             return {key: getattr(spots, key) for key in ("centres_px", "axes_px", "sigma_px")}
 
         arrays = self._once(f"posture-{name}", take)
+        self._exposed = bool(arrays)
         return Spots(**arrays) if arrays else None
 
     def plane(self, k: int, height: float) -> tuple[np.ndarray, float]:

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from itertools import accumulate, pairwise
 
 import numpy as np
+
 from greenough.instrument.errors import InputError
 
 
@@ -84,7 +85,8 @@ class FringeSet:
             for period, step in zip(self.periods, self.steps, strict=True)
             for n in range(step)
         ]
-        grey = np.rint(lines).astype(np.uint8)  # (frames, cols)
+        # Exact halves must round alike in every period, whatever the cosine's last digit says.
+        grey = np.rint(np.round(lines, 9)).astype(np.uint8)  # (frames, cols)
         return np.broadcast_to(grey[:, None, :], (len(grey), rows, cols))
 
 

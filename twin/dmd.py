@@ -1,9 +1,9 @@
 """The micromirror device: what its patterns look like after the projector's diffraction.
 
 A diamond mirror array stands on a staggered lattice: mirror (row, col) is centred at column ``col`` in even rows and
-``col + 1/2`` in odd rows. Coordinates here are (column, row) in units of the column and row pitch, with mirror (0, 0) at
-the origin. At the NA of a stereomicroscope the lens removes nearly all of the lattice's own frequency, so a pattern is
-convolved with the mirrors' shape and the lens's point spread once, and rendering looks up a smooth function.
+``col + 1/2`` in odd rows. Coordinates here are (column, row) in units of the column and row pitch, with mirror (0, 0)
+at the origin. At the NA of a stereomicroscope the lens removes nearly all of the lattice's own frequency, so a pattern
+is convolved with the mirrors' shape and the lens's point spread once, and rendering looks up a smooth function.
 """
 
 from dataclasses import dataclass

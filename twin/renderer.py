@@ -1,7 +1,8 @@
 """Mitsuba and Dr.Jit, ready to render: every module of the twin imports the two from here.
 
 The variant is the one that is already set, else ``$GREENOUGH_VARIANT``, else ``llvm_ad_mono``. One pass over all
-patterns needs a compiled kernel, and a fringe stack is monochrome, so only ``llvm_ad_mono`` and ``cuda_ad_mono`` will do.
+patterns needs a compiled kernel, and a fringe stack is monochrome, so only ``llvm_ad_mono`` and ``cuda_ad_mono`` will
+do.
 """
 
 import os

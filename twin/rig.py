@@ -16,6 +16,7 @@ from greenough.instrument.contract import (
     SpotBoard,
 )
 from greenough.instrument.errors import InputError
+from greenough.instrument.limits import check_patterns, check_within
 from greenough.instrument.rigfile import RigFile, load_rig_file
 
 from .bench import Bench
@@ -61,9 +62,7 @@ class TwinCamera:
 
     @exposure_us.setter
     def exposure_us(self, value: float) -> None:
-        low, high = self.exposure_limits_us
-        if not low <= value <= high:
-            raise InputError(f"exposure of {value:g} us is outside the camera's {low:g} to {high:g} us.")
+        check_within(value, self.exposure_limits_us, "exposure time", "us")
         self._exposure_us = float(value)
 
 
@@ -86,9 +85,7 @@ class TwinStage:
         return self._workbench.position
 
     def move_to_mm(self, position: float) -> None:
-        low, high = self.limits_mm
-        if not low <= position <= high:
-            raise InputError(f"stage position {position:g} mm is outside the travel of {low:g} to {high:g} mm.")
+        check_within(position, self.limits_mm, "stage position", "mm")
         self._workbench.position = float(position)
 
 
@@ -137,12 +134,6 @@ class TwinRig:
         Raises InputError when ``patterns`` are not (N, rows, cols) uint8 of the projector's shape, or when nothing is
         mounted.
         """
-        shape = self.projector.shape
-        if patterns.ndim != 3 or patterns.shape[1:] != shape or patterns.dtype != np.uint8 or not len(patterns):
-            raise InputError(
-                f"patterns are {patterns.dtype} {patterns.shape}, but the projector takes uint8 (N, {shape[0]}, "
-                f"{shape[1]}) with N of at least 1."
-            )
         exposure_us = self.camera.exposure_us
         rate = np.pi * self._settings.light.white_electrons_per_ms * exposure_us * 1e-3
         electrons = [radiance * rate for radiance in self._renderer.radiance(patterns)]
@@ -167,7 +158,7 @@ class TwinRig:
     def irradiance(self, patterns: np.ndarray) -> np.ndarray:
         """What the camera is exposed to: radiance of all patterns before any noise, (N, rows, cols) float32.
 
-        A white Lambertian surface under a white pattern gives 1/pi.
+        A white Lambertian surface under a white pattern gives 1/pi. Raises InputError as ``capture`` does.
         """
         channels = self._renderer.radiance(patterns)
         return np.stack([np.array(channel).reshape(self.camera.shape) for channel in channels])
@@ -188,6 +179,7 @@ class Renderer:
 
     def __init__(self, rig_file: RigFile, settings: TwinSettings, workbench: Workbench) -> None:
         self._shape = rig_file.camera.shape
+        self._projector_shape = rig_file.projector.shape
         self._settings = settings
         self._workbench = workbench
         self._kept: tuple[tuple[object, ...], list[mi.Float]] | None = None
@@ -196,6 +188,7 @@ class Renderer:
 
     def radiance(self, patterns: np.ndarray) -> list[mi.Float]:
         """Radiance of each pattern, N arrays of (rows * cols,)."""
+        check_patterns(patterns, self._projector_shape)
         digest = hashlib.sha256(patterns.tobytes()).digest()
         state = (self._workbench.mounted, self._workbench.position, digest)
         if self._kept is None or self._kept[0] != state:
@@ -208,6 +201,7 @@ class Renderer:
 
     def scene_dict(self, patterns: np.ndarray) -> dict[str, Any]:
         """The scene with its own sensor and projector as dictionaries."""
+        check_patterns(patterns, self._projector_shape)
         projector = projector_dict(self._settings.optics, patterns)
         return self._scene(projector) | {"sensor": camera_dict(self._settings.optics, self._shape)}
 

@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from greenough.instrument.contract import Placement
+from greenough.instrument.errors import InputError
 from greenough.instrument.rigfile import RigFile
 from greenough.scenes.board import BoardErrors, PrintedBoard, board, print_board
-from greenough.scenes.catalogue import specimen
+from greenough.scenes.catalogue import NAMES, specimen
 from greenough.scenes.mesh_file import load_mesh
 from greenough.scenes.parts import Part, Specimen, transform
 
@@ -21,7 +22,7 @@ from .stage import StageErrors, build_stage
 BOARDS = ("board", "second-board")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Mounted:
     """A specimen on the table: whether it is of one colour and without relief decides how it must be sampled."""
 
@@ -77,6 +78,11 @@ class Workbench:
         if Path(placement.part).suffix:
             part = load_mesh(placement.part, placement.unit, placement.pose_mm_deg)
             return Mounted(placement, part, np.eye(4), plain=False, flat=False)
+        if placement.part not in NAMES:
+            known = ", ".join((*BOARDS, *NAMES))
+            raise InputError(
+                f"unknown sample {placement.part!r}; choose one of {known}, or give the path of a mesh file."
+            )
         part = specimen(placement.part, seed)
         is_plane = placement.part == "plane"
         return Mounted(placement, part, flat(seed, placement.part), plain=is_plane, flat=is_plane)

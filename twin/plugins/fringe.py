@@ -75,7 +75,9 @@ class FringeIntegrator(mi.SamplingIntegrator):
         pixel = dr.arange(mi.UInt32, rows * cols)
         column, row = mi.Float(pixel % cols), mi.Float(pixel // cols)
         if dr.hint(self.shift_per_pixel, mode="scalar"):
-            rng = mi.PCG32(rows * cols, initstate=2 * seed + indirect)
+            # Hashed: streams that are numbered one by one are correlated between neighbouring pixels.
+            state, stream = mi.sample_tea_32(pixel, dr.opaque(mi.UInt32, 2 * seed + indirect))
+            rng = mi.PCG32(rows * cols, state, stream)
             shift = [rng.next_float32() for _ in range(dimensions)]
         else:
             shift = [mi.Float(0) for _ in range(dimensions)]

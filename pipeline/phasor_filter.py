@@ -48,7 +48,7 @@ def filter_phasors(phase_map: PhaseMap, fwhm_px: float) -> PhaseMap:
     filtered = np.arctan2(imaginary, real)
     filtered += 2 * np.pi * np.rint((rest - filtered) / (2 * np.pi))
     # Independent noise: the phasors' noise B sigma adds up in quadrature under the kernel.
-    noise = _smooth(np.where(valid, amplitude * phase_map.sigma, 0.0) ** 2, kernel**2)
+    noise = _smooth((amplitude * np.where(valid, phase_map.sigma, 0.0)) ** 2, kernel**2)
     with np.errstate(divide="ignore", invalid="ignore"):
         sigma = np.where(valid, np.sqrt(noise) / np.hypot(real, imaginary), phase_map.sigma)
     return replace(

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.ndimage import minimum_filter
 from scipy.spatial.transform import Rotation
 from scipy.special import expit
 
@@ -261,6 +262,18 @@ def test_planes_beyond_the_stage_are_refused_before_anything_moves(tmp_path):
         calibrate(rig, tmp_path / "cal.h5")
     assert rig.placed == []
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_rim_of_the_light_is_left_out_of_every_plane(undisturbed):
+    relation = undisturbed[0].phase_height
+    counted = 0
+    for z in plane_heights(PlainRig()):
+        light, _ = scene(Placement("board", face="blank"), False, z)
+        near_the_dark = minimum_filter(light, size=7) == 0
+        ends_here = np.abs(relation.z_range - np.float32(z)).min(axis=-1) < 1e-6
+        counted += ends_here.sum()
+        assert not (ends_here & near_the_dark).any()
+    assert counted >= 2 * relation.valid.sum()
 
 
 def test_the_planes_are_centred_and_evenly_spaced():

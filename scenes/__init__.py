@@ -1,1 +1,1 @@
-
+"""What lies under the lenses: board, coin, ball grid array, diaphragm, plane and mesh files, in mm."""

@@ -7,6 +7,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+
 from greenough.instrument.errors import InputError
 
 from .parts import Part, Specimen
@@ -21,13 +22,13 @@ class BallGrid:
     """Drawing of a ball grid array, mm; diameter and height are within ± their tolerances."""
 
     rows: int = 7
-    cols: int = 13
+    cols: int = 9
     pitch: float = 0.8
     diameter: float = 0.5
     diameter_tolerance: float = 0.05
     height: float = 0.4
     height_tolerance: float = 0.05
-    substrate_size: tuple[float, float] = (11.6, 7.0)
+    substrate_size: tuple[float, float] = (7.4, 6.2)
 
 
 NOMINAL = BallGrid()

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+
 from greenough.instrument.contract import SpotBoard
 from greenough.instrument.errors import InputError
 

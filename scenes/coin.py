@@ -14,26 +14,26 @@ from .glyphs import GLYPHS, WIDTH, Arc, Stroke, bounds, offset_from, placed
 from .parts import Part, Specimen
 from .triangulation import grid_faces, grid_points
 
-SIZE_MM = (8.8, 6.4)
-RELIEF_MM = 0.06
+SIZE_MM = (7.4, 6.2)
+RELIEF_MM = 0.05
 SPAN_MM = 0.3
-LETTER_HEIGHT_MM = 1.5
+LETTER_HEIGHT_MM = 1.25
+BEVEL_MM = 0.205  # width
+STEP_MM = 0.007  # distance of neighbouring vertices
 
-_TEXT = (("GREEN", 0.75), ("1892", -1.65))  # lines with the height of their feet
-_ADVANCE_MM = 1.68  # from one letter to the next
-_CORE_MM = 0.07  # half the width of a letter's flat top
-_RIM_CORE_MM = 0.25
-_BEVEL_MM = 0.25
-_BLEND_MM = 0.16  # strokes whose distances differ by less are blended
+_TEXT = (("GREEN", 0.85), ("1892", -1.2))  # lines with the height of their feet
+_ADVANCE_MM = 1.4  # from one letter to the next
+_CORE_MM = 0.06  # half the width of a letter's flat top
+_RIM_CORE_MM = 0.2
+_BLEND_MM = 0.13  # strokes whose distances differ by less are blended
 _FAR_MM = 1e3  # where no stroke has been yet
-_RIM = Arc((0.0, 8.6), 11.5, -130, 80)
-_STEP_MM = 0.008
+_RIM = Arc((0.0, 8.85), 11.5, -130, 80)
 _TILT_AZIMUTH = np.deg2rad(30.0)  # direction that rises
 
 
 def coin() -> Specimen:
-    """The coin's piece, 8.8 x 6.4 mm, with its heights spanning 0.3 mm."""
-    x, y = (np.linspace(-0.5, 0.5, round(size / _STEP_MM) + 1) * size for size in SIZE_MM)
+    """The coin's piece, 7.4 x 6.2 mm, with its heights spanning 0.3 mm."""
+    x, y = (np.linspace(-0.5, 0.5, round(size / STEP_MM) + 1) * size for size in SIZE_MM)
     height, gradient = relief(x, y)
     points = np.column_stack([grid_points(x, y), height.ravel()])
     normals = np.column_stack([-gradient.reshape(-1, 2), np.ones(len(points))])
@@ -51,7 +51,7 @@ def coin() -> Specimen:
         "width_mm": SIZE_MM[0],
         "height_mm": SIZE_MM[1],
         "relief_mm": RELIEF_MM,
-        "bevel_mm": _BEVEL_MM,
+        "bevel_mm": BEVEL_MM,
         "letter_height_mm": LETTER_HEIGHT_MM,
         "tilt_deg": float(np.rad2deg(tilt)),
         "span_mm": SPAN_MM,
@@ -73,7 +73,7 @@ def relief(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     direction = np.zeros((len(y), len(x), 2))
     for stroke, core in _strokes():
         # Further out the stroke can no longer lift anything, even blended with two others.
-        low, high = bounds(stroke) + (core + _BEVEL_MM + 2 * _BLEND_MM) * np.array([[-1], [1]])
+        low, high = bounds(stroke) + (core + BEVEL_MM + 2 * _BLEND_MM) * np.array([[-1], [1]])
         window = (
             slice(*np.searchsorted(y, [low[1], high[1]])),
             slice(*np.searchsorted(x, [low[0], high[0]])),
@@ -83,8 +83,8 @@ def relief(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         unit = offset / np.maximum(length, np.finfo(float).tiny)[..., None]
         distance[window], direction[window] = _blended(distance[window], direction[window], length - core, unit)
 
-    phase = np.pi * np.clip(distance / _BEVEL_MM, 0, 1)
-    by_distance = -RELIEF_MM * np.pi / (2 * _BEVEL_MM) * np.sin(phase)
+    phase = np.pi * np.clip(distance / BEVEL_MM, 0, 1)
+    by_distance = -RELIEF_MM * np.pi / (2 * BEVEL_MM) * np.sin(phase)
     return RELIEF_MM * (1 + np.cos(phase)) / 2, by_distance[..., None] * direction
 
 

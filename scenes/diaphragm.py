@@ -1,6 +1,6 @@
 """The diaphragm of an earphone in three states: a thin film that the voltage pulls in or pushes out.
 
-A film of 9.2 mm clamped in a flat flange outside 8.4 mm. Inside, it is deflected like a clamped plate; a concentric
+A film of 7.4 mm clamped in a flat flange outside 6.8 mm. Inside, it is deflected like a clamped plate; a concentric
 groove surrounds the middle and oblique radial grooves stiffen the surround, both smooth cosines. The flange is at
 z = 0, so the three states together fill the measuring range.
 """
@@ -12,15 +12,15 @@ import numpy as np
 from .parts import Part, Specimen
 from .triangulation import ring_angles, ring_faces
 
-OUTER_RADIUS_MM = 4.6
-CLAMP_RADIUS_MM = 4.2
+OUTER_RADIUS_MM = 3.7
+CLAMP_RADIUS_MM = 3.4
 DEFLECTION_MM = MappingProxyType({"concave": -1.38, "equilibrated": 0.25, "raised": 1.38})
 
-_CONCENTRIC = (1.5, 0.7, 0.03)  # radius of the groove's bottom, width, depth
-_RADIAL = (2.85, 1.7, 0.04)  # middle radius of the grooves, their length along the radius, depth
+_CONCENTRIC = (1.2, 0.6, 0.03)  # radius of the groove's bottom, width, depth
+_RADIAL = (2.3, 1.4, 0.04)  # middle radius of the grooves, their length along the radius, depth
 _RADIAL_COUNT = 18
-_TWIST = 0.35  # rad per mm: how oblique the grooves are
-_EDGE_MM = 0.014  # distance of neighbouring vertices
+_TWIST = 0.4  # rad per mm: how oblique the grooves are
+_EDGE_MM = 0.012  # distance of neighbouring vertices
 
 
 def diaphragm(state: str) -> Specimen:

@@ -4,8 +4,9 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from greenough.instrument.errors import InputError
 from scipy.spatial.transform import Rotation
+
+from greenough.instrument.errors import InputError
 
 from .parts import Part, Specimen
 

@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import norm
+
 from greenough.instrument.errors import InputError
 from greenough.scenes.bga import NOMINAL, bga
-from scipy.stats import norm
 
 EXACT = replace(NOMINAL, diameter_tolerance=0.0, height_tolerance=0.0)
 
@@ -66,7 +67,7 @@ def test_an_exact_array_has_the_drawing_s_dimensions():
     np.testing.assert_allclose(built["ball_radii_mm"], 0.25)
     np.testing.assert_allclose(built["ball_heights_mm"], 0.4)
     np.testing.assert_allclose(built["ball_centres_mm"][:, 2] + 0.2, 0.15)  # equator over the substrate
-    grid = built["ball_centres_mm"].reshape(7, 13, 3)
+    grid = built["ball_centres_mm"].reshape(7, 9, 3)
     np.testing.assert_allclose(np.diff(grid[..., 0], axis=1), 0.8)
     np.testing.assert_allclose(np.diff(grid[..., 1], axis=0), -0.8)
     np.testing.assert_allclose(grid.mean(axis=(0, 1))[:2], 0, atol=1e-12)
@@ -94,7 +95,7 @@ def test_seeds_tell_arrays_apart_and_repeat_them(specimen):
 def test_a_missing_and_a_low_ball_leave_the_others_alone(specimen):
     built = specimen.as_built
     changed = bga(3, missing=[(0, 1)], low={(2, 5): 0.1}).as_built
-    kept = np.delete(np.arange(91), 1)
+    kept = np.delete(np.arange(63), 1)
     np.testing.assert_array_equal(changed["ball_row"], built["ball_row"][kept])
     np.testing.assert_array_equal(changed["ball_col"], built["ball_col"][kept])
     np.testing.assert_array_equal(changed["ball_radii_mm"], built["ball_radii_mm"][kept])
@@ -103,20 +104,26 @@ def test_a_missing_and_a_low_ball_leave_the_others_alone(specimen):
     np.testing.assert_allclose(lower, expected, atol=1e-15)
 
 
-def test_balls_fill_the_lit_field(specimen):
-    lit = np.array([10.84, 6.1])
-    low, high = specimen.parts[1].vertices.min(axis=0), specimen.parts[1].vertices.max(axis=0)
-    assert (np.maximum(-low, high)[:2] < lit / 2).all()
-    # One more column or row would not fit.
-    assert (np.array([NOMINAL.cols, NOMINAL.rows]) * 0.8 + 0.5 > lit - 1e-9).all()
-    assert (np.ptp(specimen.parts[0].vertices[:, :2], axis=0) > lit).all()
+def test_the_array_fills_the_measuring_volume_however_it_is_laid(specimen):
+    def reach(cols: int, rows: int) -> np.ndarray:
+        """Farthest point of the largest balls in x and y, laid 2 sd of the hand's 0.1 mm and 1° off."""
+        corner, turn = np.array([cols - 1, rows - 1]) / 2 * NOMINAL.pitch, np.deg2rad(2.0)
+        largest = (NOMINAL.diameter + NOMINAL.diameter_tolerance) / 2
+        return np.cos(turn) * corner + np.sin(turn) * corner[::-1] + largest + 0.2
+
+    half = np.array([8.0, 6.0]) / 2
+    assert (reach(NOMINAL.cols, NOMINAL.rows) < half).all()
+    assert reach(NOMINAL.cols + 1, NOMINAL.rows)[0] > half[0]
+    assert reach(NOMINAL.cols, NOMINAL.rows + 1)[1] > half[1]
+    substrate, balls = (np.abs(part.vertices[:, :2]).max(axis=0) for part in specimen.parts)
+    assert (balls < substrate).all()
 
 
 @pytest.mark.parametrize(
     ("wrong", "sentence"),
     [
         ({"missing": [(7, 0)]}, "rows are 0 to 6"),
-        ({"low": {(0, -1): 0.1}}, "columns 0 to 12"),
+        ({"low": {(0, -1): 0.1}}, "columns 0 to 8"),
         ({"low": {(0, 0): 0.39}}, r"can be made 0 to 0\.\d+ mm lower"),
         ({"low": {(0, 0): -0.1}}, r"can be made 0 to 0\.\d+ mm lower"),
         ({"nominal": replace(NOMINAL, height=0.5)}, "would float"),

@@ -5,11 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
+
 from greenough.instrument.contract import SpotBoard
 from greenough.instrument.errors import InputError
 from greenough.scenes.board import BoardErrors, blank_height, board, ceramic_height, print_board
 from greenough.scenes.parts import Part, merge
-from scipy.stats import chi2
 
 PAPER = SpotBoard(9, 11, 0.65, 0.4, 0.175, 8.0, ((4, 5), (4, 6), (3, 5), (4, 3), (6, 5)))
 PERFECT = BoardErrors(0, 0, 0, 0, 0)

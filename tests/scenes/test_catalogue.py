@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from greenough.instrument.errors import InputError
 from greenough.scenes.catalogue import NAMES, specimen
 from greenough.scenes.mesh_file import HALF_VOLUME_MM

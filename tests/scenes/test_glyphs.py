@@ -4,6 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+
 from greenough.scenes.glyphs import GLYPHS, WIDTH, Line, bounds, offset_from, placed
 
 STROKES = [pytest.param(stroke, id=f"{letter}-{k}") for letter, all_ in GLYPHS.items() for k, stroke in enumerate(all_)]

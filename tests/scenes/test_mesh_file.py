@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import trimesh
+
 from greenough.instrument.errors import InputError
 from greenough.scenes.mesh_file import load_mesh
 

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
+
 from greenough.scenes.bga import BallGrid, bga
 from greenough.scenes.parts import Part, merge, transform
-from scipy.spatial.transform import Rotation
 
 TRIANGLE = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
 FACE = np.array([[0, 1, 2]], np.int32)

@@ -1,6 +1,7 @@
 """Claims about the plane."""
 
 import numpy as np
+
 from greenough.scenes.plane import plane
 
 

@@ -3,9 +3,10 @@
 from collections import Counter
 
 import numpy as np
-from greenough.scenes.triangulation import grid_faces, grid_points, ring_angles, ring_faces
 from hypothesis import given
 from hypothesis import strategies as st
+
+from greenough.scenes.triangulation import grid_faces, grid_points, ring_angles, ring_faces
 
 
 def doubled_areas(points: np.ndarray, faces: np.ndarray) -> np.ndarray:

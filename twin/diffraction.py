@@ -14,7 +14,7 @@ functions are real, so that its phase is right. Finer detail is blurred too much
 from functools import lru_cache
 
 import numpy as np
-from scipy.special import j1
+from scipy.special import j1, roots_legendre
 
 AIRY_FIRST_ZERO = 1.2196698912665045  # first zero of J1(pi x) in x: radius of the dark ring in units of lambda / (2 NA)
 
@@ -54,7 +54,7 @@ def defocused_transfer(
     """
     q = np.clip(np.abs(np.asarray(frequency, float)) / cutoff_frequency(na, wavelength), 0.0, 1.0)[:, None]
     # Gauss-Legendre over the overlap |x| <= 1 - q of two unit discs at +-q, whose height is 2 sqrt(1 - (|x| + q)^2).
-    node, weight = np.polynomial.legendre.leggauss(samples)
+    node, weight = roots_legendre(samples)
     x = (node + 1) / 2 * (1 - q)
     height = 2 * np.sqrt(np.clip(1 - (x + q) ** 2, 0, None))
     phase = 2 * np.pi / wavelength * na**2 / 2 * defocus * 4 * q * x

@@ -125,14 +125,14 @@ def test_the_airy_disc_of_the_default_path_has_a_radius_of_21_um_and_holds_its_s
 @pytest.mark.parametrize("direction", [(1.0, 0.0), (0.0, 1.0), (0.6, 0.8)])
 def test_what_is_drawn_from_a_pixels_response_has_the_transfer_of_box_and_pupil(pixel, direction):
     marginal, conditional = pixel_response(pixel, NA, WAVELENGTH)
-    u, v = (np.arange(4096) + 0.5) / 4096, (np.arange(2048) + 0.5) / 2048
+    u, v = (np.arange(4096) + 0.5) / 4096, (np.arange(1024) + 0.5) / 1024
     x = np.interp(u, np.linspace(0, 1, len(marginal)), marginal)[:, None]
     rows = np.stack([np.interp(v, np.linspace(0, 1, conditional.shape[1]), row) for row in conditional])
     at = u * (len(rows) - 1)
     below = np.minimum(at.astype(int), len(rows) - 2)
     t = (at - below)[:, None]
     y = rows[below] * (1 - t) + rows[below + 1] * t
-    for cycles in np.linspace(0, 0.7, 8):  # per pixel
+    for cycles in np.linspace(0.1, 0.7, 5):  # per pixel
         fx, fy = cycles * direction[0], cycles * direction[1]
         expected = optical_transfer(np.array(cycles / pixel), NA, WAVELENGTH) * np.sinc(fx) * np.sinc(fy)
         assert np.cos(2 * np.pi * (fx * x + fy * y)).mean() == pytest.approx(expected, abs=0.004)

@@ -1,0 +1,91 @@
+"""Claims and what was measured of them: one row each, as a file and as a table."""
+
+import json
+import os
+import platform
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from greenough.instrument.files import atomic_path
+
+PACKAGES = ("greenough", "mitsuba", "drjit", "numpy", "scipy", "opencv-python-headless", "libigl")
+
+
+@dataclass(frozen=True)
+class Claim:
+    """One row: what is claimed of what, and what was found.
+
+    Parameters
+    ----------
+    claim : str
+        Name that scripts rely on.
+    specimen : str
+        What was measured.
+    paper : float or None
+        The paper's figure, where it gives one.
+    measured : float
+        In ``unit``.
+    unit : str
+    n : int
+        Values that the figure was made from.
+    filter : str
+        What was averaged or smoothed; "none" where nothing was.
+    alignment : str
+        "none" is the calibrated frame as it is.
+    calibration : str
+        Method of the calibration.
+    seed : int
+        The instrument.
+    limit : float or None
+        What the figure must keep to; None where the row only reports.
+    holds : bool or None
+        Whether it does; None without a limit.
+    expected_to_hold : bool or None
+        False only where the physics says that it cannot; ``predicted`` then says what must come instead.
+    criterion : str
+        The rule in words.
+    predicted : float or None
+        What an independent model expects of the figure, in ``unit``.
+    """
+
+    claim: str
+    specimen: str
+    paper: float | None
+    measured: float
+    unit: str
+    n: int
+    filter: str
+    alignment: str
+    calibration: str
+    seed: int
+    limit: float | None
+    holds: bool | None
+    expected_to_hold: bool | None
+    criterion: str
+    predicted: float | None = None
+
+    @property
+    def as_expected(self) -> bool:
+        """Whether the row behaves as it should: held where it should hold, failed where it cannot."""
+        return self.holds == self.expected_to_hold
+
+
+def environment() -> dict[str, Any]:
+    """What the figures were computed with."""
+    return {
+        "python": sys.version.split()[0],
+        "platform": platform.platform(),
+        "cpus": os.cpu_count(),
+        "packages": {name: version(name) for name in PACKAGES},
+    }
+
+
+def write_claims(path: Path, claims: Sequence[Claim], more: Mapping[str, Any]) -> None:
+    """Write ``claims.json``; it appears whole or not at all. ``more`` joins the environment."""
+    document = {"claims": [asdict(claim) for claim in claims], "environment": environment() | dict(more)}
+    with atomic_path(path) as temporary:
+        temporary.write_text(json.dumps(document, indent=1, allow_nan=False))

@@ -1,0 +1,36 @@
+"""The verbs that need truth: demo."""
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from greenough.instrument.progress import progress
+from greenough.instrument.verbs import JsonOption, SetOption, show
+
+app = typer.Typer()
+
+
+@app.command()
+def demo(
+    rig: Annotated[str, typer.Argument(metavar="[RIG]", help="A twin.")] = "twin",
+    out: Annotated[Path, typer.Option("--out", metavar="FOLDER", help="Where the files go.")] = Path("build/demo"),
+    settings: SetOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Calibrate a twin, measure the paper's specimens, and print its claims beside what was measured.
+
+    Exits with 1 if a row behaves otherwise than expected.
+    """
+    from .demo import demonstrate, steps
+
+    overrides = settings or []
+    with progress(steps(rig, overrides), "demo", quiet=as_json) as advance:
+        claims = demonstrate(rig, overrides, out, advance)
+    columns = ("claim", "specimen", "paper", "measured", "unit", "n", "limit", "holds", "expected_to_hold")
+    table = [{name: row[name] for name in columns} for row in map(asdict, claims)]
+    unexpected = [claim.claim for claim in claims if not claim.as_expected]
+    show({"claims": table, "unexpected": unexpected, "folder": out}, as_json)
+    if unexpected:
+        raise typer.Exit(1)

@@ -1,0 +1,101 @@
+"""Claims about distances: neighbouring spots of the board that set the scale, and of one that did not."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from greenough.instrument.contract import Placement, SpotBoard
+from greenough.pipeline.decode import PhaseMap
+from greenough.pipeline.reconstruct import points_at_height
+from greenough.pipeline.spots import Spots, detect_spots
+
+from .claims import Claim
+from .setup import Setup
+
+POSTURE = 1000
+"""A posture that no calibration has seen."""
+
+PAPER_ROWS, PAPER_COLS = 5, 7
+"""The paper measures 35 spots: 30 pairs along the rows and 28 along the columns."""
+
+FILTER = "phase averaged over each spot"
+
+
+def pitch_claims(setup: Setup) -> Iterator[Claim]:
+    """Distances on both boards, each held in a new posture."""
+    for part, prefix in (("board", "pitch"), ("second-board", "pitch_second_board")):
+        setup.place(Placement(part, posture=POSTURE))
+        phase_map = setup.capture()
+        centres = spot_points(setup, phase_map, detect_spots(phase_map.background, setup.calibration.board))
+        true = setup.bench.specimen.as_built["centres_mm"]
+        board = setup.calibration.board
+        for pairs, suffix in ((paper_pairs(board), ""), (all_pairs(board), "_all_spots")):
+            measured = _distances(centres, pairs)
+            error = measured - _distances(true, pairs)
+            seen = np.isfinite(measured)
+            measured, error, n = measured[seen], error[seen], int(seen.sum())
+            yield setup.claim(
+                f"{prefix}_mean{suffix}", part, float(np.mean(measured)), "mm", n,
+                f"within 0.0015 mm of {board.pitch_mm:g} mm", paper=0.6502, limit=0.0015,
+                holds=bool(abs(np.mean(measured) - board.pitch_mm) <= 0.0015), filter=FILTER,
+            )  # fmt: skip
+            yield setup.claim(
+                f"{prefix}_sd{suffix}", part, float(np.std(measured, ddof=1)), "mm", n,
+                "standard deviation of single distances, the boards' print errors included", paper=0.0011,
+                limit=0.0011, filter=FILTER, predicted=1e-3 * np.sqrt(2) * setup.bench.settings.board.print_sd_um,
+            )  # fmt: skip
+            yield setup.claim(
+                f"{prefix}_error_mean{suffix}", part, 1e3 * float(np.mean(error)), "um", n,
+                "mean difference from the true distances of this board", filter=FILTER,
+            )  # fmt: skip
+            yield setup.claim(
+                f"{prefix}_error_sd{suffix}", part, 1e3 * float(np.std(error, ddof=1)), "um", n,
+                "standard deviation of the differences from the true distances of this board", filter=FILTER,
+            )  # fmt: skip
+
+
+def spot_points(setup: Setup, phase_map: PhaseMap, spots: Spots) -> np.ndarray:
+    """Spots' centres in the calibrated frame, (spots, 3) mm, NaN where unseen.
+
+    The height at a centre is that of the plane through the heights of the pixels within the spot; x and y follow on
+    the camera's ray through the centre. The small difference of an ellipse's and a circle's centre is left in.
+    """
+    z = setup.calibration.phase_height.height(phase_map.absolute)
+    points = np.full((len(spots.seen), 3), np.nan)
+    for k in np.flatnonzero(spots.seen):
+        (u, v), reach = spots.centres_px[k], 0.8 * spots.axes_px[k].min()
+        cols = np.arange(int(np.ceil(u - reach)), int(u + reach) + 1)
+        rows = np.arange(int(np.ceil(v - reach)), int(v + reach) + 1)
+        du, dv = np.meshgrid(cols - u, rows - v)
+        inside = (du**2 + dv**2 <= reach**2) & np.isfinite(z[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1])
+        if inside.sum() < 6:
+            continue
+        design = np.column_stack([np.ones(inside.sum()), du[inside], dv[inside]])
+        heights = z[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1][inside]
+        height = np.linalg.lstsq(design, heights, rcond=None)[0][:1]
+        camera, camera_from_world = setup.calibration.camera, setup.calibration.camera_from_world
+        points[k] = points_at_height(spots.centres_px[k : k + 1], height, camera, camera_from_world)[0]
+    return points
+
+
+def all_pairs(board: SpotBoard) -> np.ndarray:
+    """Indices (pairs, 2) of all neighbours along rows and columns."""
+    index = np.arange(board.rows * board.cols).reshape(board.rows, board.cols)
+    return _neighbours(index)
+
+
+def paper_pairs(board: SpotBoard) -> np.ndarray:
+    """Indices (58, 2) of the neighbours among the 35 spots in the middle of the board."""
+    index = np.arange(board.rows * board.cols).reshape(board.rows, board.cols)
+    top, left = (board.rows - PAPER_ROWS) // 2, (board.cols - PAPER_COLS) // 2
+    return _neighbours(index[top : top + PAPER_ROWS, left : left + PAPER_COLS])
+
+
+def _neighbours(index: np.ndarray) -> np.ndarray:
+    along = np.stack([index[:, :-1].ravel(), index[:, 1:].ravel()], axis=-1)
+    down = np.stack([index[:-1].ravel(), index[1:].ravel()], axis=-1)
+    return np.concatenate([along, down])
+
+
+def _distances(points: np.ndarray, pairs: np.ndarray) -> np.ndarray:
+    return np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=-1)

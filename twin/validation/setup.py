@@ -1,0 +1,110 @@
+"""One instrument under test: its rig, the bench with its truth, and the calibration that the pipeline made of it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from greenough.instrument.contract import Placement
+from greenough.pipeline.calibration import Calibration
+from greenough.pipeline.decode import PhaseMap, decode
+from greenough.pipeline.exposure import auto_exposure
+from greenough.pipeline.phasor_filter import filter_phasors
+from greenough.pipeline.reconstruct import PointMap, reconstruct
+
+from ..bench import Bench
+from ..diffraction import airy_radius
+from ..rig import TwinRig
+from .claims import Claim
+
+NO_FILTER = "none"
+
+
+@dataclass(frozen=True)
+class Setup:
+    """A calibrated twin, ready to measure, in a run of its own."""
+
+    rig: TwinRig
+    bench: Bench
+    calibration: Calibration
+
+    @property
+    def airy_radius_px(self) -> float:
+        """Radius of the Airy disc in camera pixels at the specimen: what smooth surroundings and filters refer to."""
+        optics = self.bench.settings.optics
+        pixel = optics.pupil_distance_mm / optics.camera_focal_px
+        return airy_radius(optics.na, optics.wavelength_um * 1e-3) / pixel
+
+    @property
+    def filter_fwhm_px(self) -> float:
+        """Width of the one filter that rows may use: the Airy diameter."""
+        return 2 * self.airy_radius_px
+
+    @property
+    def filter_name(self) -> str:
+        """How a filtered row names it."""
+        return f"gaussian on phasors, fwhm {self.filter_fwhm_px:.2f} px"
+
+    def place(self, placement: Placement, position: float = 0.0) -> None:
+        """Mount a part, move the stage, and expose for the part."""
+        self.rig.operator.place(placement)
+        self.rig.stage.move_to_mm(position)
+        auto_exposure(self.rig)
+
+    def capture(self) -> PhaseMap:
+        """One exposure of every fringe pattern, decoded."""
+        fringes = self.calibration.fringes
+        frames = self.rig.capture(fringes.patterns(*self.rig.projector.shape))
+        return decode(frames, fringes, self.rig.camera.noise)
+
+    def points(self, phase_map: PhaseMap) -> PointMap:
+        """Points without any filter."""
+        return reconstruct(phase_map, self.calibration)
+
+    def filtered_points(self, phase_map: PhaseMap) -> PointMap:
+        """Points after the one filter."""
+        return reconstruct(filter_phasors(phase_map, self.filter_fwhm_px), self.calibration)
+
+    def height_sigma(self, phase_map: PhaseMap) -> np.ndarray:
+        """Predicted standard deviation of z from this exposure's noise, (rows, cols) mm: |dz/dphase| times sigma."""
+        step = 1e-3
+        relation = self.calibration.phase_height
+        slope = (relation.height(phase_map.absolute + step) - relation.height(phase_map.absolute - step)) / (2 * step)
+        return np.abs(slope) * phase_map.sigma
+
+    def claim(
+        self,
+        name: str,
+        specimen: str,
+        measured: float,
+        unit: str,
+        n: int,
+        criterion: str,
+        *,
+        paper: float | None = None,
+        limit: float | None = None,
+        holds: bool | None = None,
+        expected_to_hold: bool = True,
+        filter: str = NO_FILTER,
+        alignment: str = "none",
+        predicted: float | None = None,
+    ) -> Claim:
+        """A row about this instrument; with a limit and no ``holds``, |measured| <= limit decides."""
+        if holds is None and limit is not None:
+            holds = bool(abs(measured) <= limit)
+        return Claim(
+            claim=name,
+            specimen=specimen,
+            paper=paper,
+            measured=float(measured),
+            unit=unit,
+            n=int(n),
+            filter=filter,
+            alignment=alignment,
+            calibration=str(self.calibration.figures["method"]),
+            seed=self.bench.settings.seed,
+            limit=limit,
+            holds=holds,
+            expected_to_hold=None if holds is None else expected_to_hold,
+            criterion=criterion,
+            predicted=predicted,
+        )

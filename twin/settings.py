@@ -105,7 +105,7 @@ def twin_settings(rig_file: RigFile) -> TwinSettings:
     Raises InputError naming every wrong field with what is allowed there.
     """
     try:
-        return TwinSettings.model_validate(rig_file.driver_section("twin"))
+        return TwinSettings.model_validate(rig_file.driver_section("twin"), strict=True)
     except ValidationError as error:
         where = f"section [twin] of rig {rig_file.name}"
         raise InputError(describe_validation_error(error, where, TwinSettings)) from None

@@ -22,8 +22,13 @@ COEFFICIENTS = ("m1", "m0", "n1", "r3")
 MIN_PLANES = 2 * len(COEFFICIENTS)
 """Planes a pixel must be valid in to be calibrated: two per coefficient."""
 
-FRINGE_ERROR_RAD = 1.0
-"""A plane that misses the fitted relation by more than this carries a wrong fringe order: phase noise is far below."""
+MISFIT_RAD = 0.25
+"""A plane that misses a pixel's relation by more than this is not explained by noise or by the stage, whose 10 µm are
+0.06 rad: it has a wrong fringe order, or shows something else than the board's face."""
+
+SLOPE_TOLERANCE = 0.1
+"""Largest relative departure of a pixel's dz/dΦ from the median pixel's. Over the narrow field of a stereomicroscope it
+varies by 2 %; a pixel that sees the board's side wall, which passes by as the stage moves, has another one."""
 
 _BLOCK_PIXELS = 8192  # 30 planes of a block in float64 stay in the processor's cache
 _THREADS = 2
@@ -76,6 +81,20 @@ class PhaseHeight:
         w = (m1 * t + m0) / (n1 * t + 1)
         return np.where(self.valid, w + r3 * w * w * w, np.nan)
 
+    def covers(self, phase: np.ndarray, margin_mm: float) -> np.ndarray:
+        """Where a phase (rows, cols) lies in the pixel's calibrated range, or outside by a height of ``margin_mm``.
+
+        Farther out the height says nothing: eq. 11 has a pole, beyond which it comes back into the range.
+
+        Returns
+        -------
+        (rows, cols) bool
+        """
+        low, high = np.moveaxis(self.z_range, -1, 0)
+        with np.errstate(invalid="ignore"):
+            t = (phase - self.phase_centre.astype(np.float64)) / self.phase_half_range
+            return np.abs(t) <= 1 + 2 * margin_mm / (high - low)
+
 
 @dataclass(frozen=True)
 class PhaseHeightFit:
@@ -103,7 +122,8 @@ def fit_phase_height(phases: np.ndarray, z_mm: np.ndarray) -> PhaseHeightFit:
 
     Eq. 19 on the normalised phase gives the start; Gauss-Newton steps on the height residuals of eq. 18 follow. Planes
     in which a pixel is NaN are left out for that pixel. A pixel is calibrated if it is valid in at least
-    ``MIN_PLANES`` planes and no plane misses its relation by more than ``FRINGE_ERROR_RAD``.
+    ``MIN_PLANES`` planes, no plane misses its relation by more than ``MISFIT_RAD``, and its slope is within
+    ``SLOPE_TOLERANCE`` of the others'.
 
     Parameters
     ----------
@@ -144,6 +164,11 @@ def fit_phase_height(phases: np.ndarray, z_mm: np.ndarray) -> PhaseHeightFit:
 
     with ThreadPoolExecutor(_THREADS) as pool:
         sums, counts = zip(*pool.map(fit, _blocks(rows * cols)), strict=True)
+    slope = (z_range[:, 1] - z_range[:, 0]) / half_range
+    with np.errstate(invalid="ignore"):
+        alien = np.abs(slope / np.nanmedian(slope) - 1) > SLOPE_TOLERANCE if np.isfinite(slope).any() else slope > 0
+    for values in (coefficients, centre, half_range, z_range, residual_um):
+        values[alien] = np.nan
     valid = np.isfinite(residual_um)
     if not valid.any():
         raise InputError(
@@ -216,7 +241,7 @@ def _fit_block(phases: np.ndarray, z_mm: np.ndarray) -> _BlockFit:
     z_low = np.where(weight > 0, z, np.inf).min(axis=0)
     z_high = np.where(weight > 0, z, -np.inf).max(axis=0)
     mm_per_rad = (z_high - z_low) / (2 * half_range)
-    good = usable & (np.abs(residual).max(axis=0) < FRINGE_ERROR_RAD * mm_per_rad)
+    good = usable & (np.abs(residual).max(axis=0) < MISFIT_RAD * mm_per_rad)
     rms = np.sqrt((residual**2).sum(axis=0) / np.maximum(weight.sum(axis=0), 1))
 
     def kept(values: np.ndarray) -> np.ndarray:

@@ -30,7 +30,7 @@ class PointMap:
 def reconstruct(phase_map: PhaseMap, calibration: Calibration) -> PointMap:
     """Height from the phase by eq. 17, then x and y on the undistorted camera ray by eq. 23.
 
-    Pixels that are not valid in ``phase_map``, not calibrated, or whose height lies more than half a plane step outside
+    Pixels that are not valid in ``phase_map``, not calibrated, or whose phase lies more than half a plane step outside
     the calibrated range of that pixel are NaN: the relation is not known there.
 
     Raises
@@ -40,10 +40,9 @@ def reconstruct(phase_map: PhaseMap, calibration: Calibration) -> PointMap:
     """
     calibration.check_shape(phase_map.absolute.shape)
     relation = calibration.phase_height
-    z = relation.height(np.where(phase_map.valid, phase_map.absolute, np.nan))
-    margin = calibration.procedure.plane_step_mm / 2
-    with np.errstate(invalid="ignore"):
-        z[~((z >= relation.z_range[..., 0] - margin) & (z <= relation.z_range[..., 1] + margin))] = np.nan
+    phase = np.where(phase_map.valid, phase_map.absolute, np.nan)
+    z = relation.height(phase)
+    z[~relation.covers(phase, margin_mm=calibration.procedure.plane_step_mm / 2)] = np.nan
     rows, cols = np.nonzero(np.isfinite(z))
     xyz = np.full((*z.shape, 3), np.nan)
     pixels = np.stack([cols, rows], axis=-1)

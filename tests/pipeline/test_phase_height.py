@@ -129,6 +129,25 @@ def test_one_wrong_fringe_order_costs_the_pixel_and_no_other(plane, order):
     assert relation.valid.sum() == relation.valid.size - 1
 
 
+def test_a_pixel_whose_phase_changes_otherwise_than_its_neighbours_is_not_calibrated():
+    # The ray of such a pixel ends on a wall that passes by: the phase follows at another rate, however smoothly.
+    phases = planes()
+    phases[:, 2, 3] = phases[0, 2, 3] + 0.4 * (phases[:, 2, 3] - phases[0, 2, 3])
+    relation = fit_phase_height(phases, HEIGHTS).relation
+    assert not relation.valid[2, 3]
+    assert np.isnan(relation.coefficients[2, 3]).all()
+    assert relation.valid.sum() == relation.valid.size - 1
+
+
+def test_a_plane_that_misses_the_relation_costs_the_pixel():
+    phases = planes()
+    phases[20, 2, 3] += 0.5
+    phases[20, 4, 5] += 0.1
+    relation = fit_phase_height(phases, HEIGHTS).relation
+    assert not relation.valid[2, 3]
+    assert relation.valid.sum() == relation.valid.size - 1
+
+
 def test_too_few_heights_are_refused():
     with pytest.raises(InputError, match="8 or more different heights, got 5"):
         fit_phase_height(planes(HEIGHTS[:5]), HEIGHTS[:5])

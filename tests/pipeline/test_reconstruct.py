@@ -32,14 +32,14 @@ def pose(tilt_deg=6.0):
 def calibration(z_low=-1.45, z_high=1.45):
     """Phase in rad is 10 z for every pixel: what is tested here lies behind the phase-height relation."""
     coefficients = np.zeros((*SHAPE, 4), dtype=np.float32)
-    coefficients[..., 0] = 1.0
+    coefficients[..., 0] = 1.45
     return Calibration(
         camera=camera(),
         camera_from_world=pose(),
         phase_height=PhaseHeight(
             coefficients=coefficients,
             phase_centre=np.zeros(SHAPE, dtype=np.float32),
-            phase_half_range=np.full(SHAPE, 10.0, dtype=np.float32),
+            phase_half_range=np.full(SHAPE, 14.5, dtype=np.float32),
             z_range=np.tile(np.float32([z_low, z_high]), (*SHAPE, 1)),
             valid=np.ones(SHAPE, dtype=bool),
         ),
@@ -61,7 +61,7 @@ def test_points_lie_on_their_pixels_rays_at_their_heights():
     rng = np.random.default_rng(8)
     z = rng.uniform(-1.4, 1.4, SHAPE)
     xyz = reconstruct(phase_map(10 * z), calibration()).xyz
-    np.testing.assert_allclose(xyz[..., 2], z, atol=1e-12)
+    np.testing.assert_allclose(xyz[..., 2], z, atol=1e-6)  # coefficients are float32
     seen = camera().project(xyz @ pose()[:3, :3].T + pose()[:3, 3])
     v, u = np.mgrid[: SHAPE[0], : SHAPE[1]]
     assert np.abs(seen - np.stack([u, v], axis=-1)).max() < 1e-9
@@ -94,9 +94,25 @@ def test_heights_beyond_half_a_step_outside_the_calibrated_range_are_invalid():
     assert valid.sum() == valid.size - 2
 
 
+def test_a_phase_far_outside_gives_no_point_even_where_the_relation_comes_back_into_range():
+    here = calibration()
+    here.phase_height.coefficients[..., :3] = [0.6, -0.6, 0.5]  # a pole at t = -2, that is at a phase of -29 rad
+    phase = np.zeros(SHAPE)
+    phase[2, 3] = -100.0
+    assert 0 < here.phase_height.height(phase)[2, 3] < 2.0
+    phase[2, 3] = -1000.0
+    assert 0 < here.phase_height.height(phase)[2, 3] < 1.45
+    assert not reconstruct(phase_map(phase), here).valid[2, 3]
+
+
 def test_the_range_is_each_pixels_own():
     here = calibration()
-    here.phase_height.z_range[3, 4] = [-1.45, 0.2]
+    relation = here.phase_height  # pixel (3, 4) was seen from -1.45 to 0.15 mm
+    relation.z_range[3, 4] = [-1.45, 0.15]
+    relation.phase_centre[3, 4], relation.phase_half_range[3, 4] = -6.5, 8.0
+    relation.coefficients[3, 4, :2] = [0.8, -0.65]
+    z = np.full(SHAPE, 0.15)
+    assert reconstruct(phase_map(10 * z), here).xyz[3, 4, 2] == pytest.approx(0.15, abs=1e-6)
     z = np.full(SHAPE, 0.5)
     valid = reconstruct(phase_map(10 * z), here).valid
     assert not valid[3, 4]

@@ -43,7 +43,9 @@ class LensSensor(mi.Sensor):
         self.aperture = float(props.get("aperture_radius", 0.0))
         wavelength = float(props.get("wavelength", 0.0))
         na = float(props.get("diffraction_na", self.aperture / self.focus))
-        self.to_world = mi.AffineTransform4f(np.array(props.get("to_world", mi.ScalarTransform4f()).matrix, np.float32))
+        world_from_local = props.get("to_world", mi.ScalarTransform4f())
+        self.origin = world_from_local @ mi.ScalarPoint3f(0, 0, 0)
+        self.to_world = mi.AffineTransform4f(np.array(world_from_local.matrix, np.float32))
         self.response = None
         if wavelength > 0 and na > 0:
             marginal, conditional = pixel_response(self.focus / self.focal, na, wavelength)
@@ -104,7 +106,7 @@ class LensSensor(mi.Sensor):
         return out, weight
 
     def bbox(self) -> mi.ScalarBoundingBox3f:
-        return mi.ScalarBoundingBox3f(self.to_world @ mi.ScalarPoint3f(0, 0, 0))
+        return mi.ScalarBoundingBox3f(self.origin)
 
     def to_string(self) -> str:
         return f"LensSensor[focal_length_px={self.focal}, focus={self.focus}, aperture={self.aperture}]"

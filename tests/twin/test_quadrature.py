@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from greenough.twin.quadrature import nodes
 
 
+@settings(deadline=None, max_examples=30)
 @given(st.integers(1, 10), st.integers(1, 16))
 def test_as_many_nodes_as_asked_for_inside_the_unit_cube(power, dimensions):
     u = nodes(2**power, dimensions)
@@ -17,6 +18,7 @@ def test_as_many_nodes_as_asked_for_inside_the_unit_cube(power, dimensions):
     assert u.max() < 1
 
 
+@settings(deadline=None, max_examples=30)
 @given(st.integers(1, 10), st.integers(1, 16))
 def test_every_node_has_its_mirror_image(power, dimensions):
     u = nodes(2**power, dimensions)

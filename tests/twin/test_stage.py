@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2, norm
 
@@ -78,6 +78,7 @@ def test_the_axis_leans_by_its_standard_deviation(stages):
     assert low < np.sum(tilts**2) < high
 
 
+@settings(deadline=None, max_examples=30)
 @given(seeds, positions)
 def test_a_perfect_stage_is_exactly_where_it_reads(seed, z):
     expected = np.eye(4)
@@ -85,6 +86,7 @@ def test_a_perfect_stage_is_exactly_where_it_reads(seed, z):
     np.testing.assert_array_equal(build_stage(PERFECT, seed).twin_from_table(z), expected)
 
 
+@settings(deadline=None, max_examples=30)
 @given(seeds, positions)
 def test_a_stage_is_the_same_every_time_and_moves_rigidly(seed, z):
     motion = build_stage(StageSettings(), seed).twin_from_table(z)
@@ -93,6 +95,7 @@ def test_a_stage_is_the_same_every_time_and_moves_rigidly(seed, z):
     assert np.linalg.det(motion[:3, :3]) > 0
 
 
+@settings(deadline=None, max_examples=30)
 @given(seeds, positions)
 def test_switching_one_error_off_leaves_the_others(seed, z):
     full = build_stage(StageSettings(), seed)

@@ -103,7 +103,7 @@ class Scenery:
         """Two planes of one material that face each other at 70 degrees, open towards the lenses."""
         turn = mi.ScalarTransform4f().rotate
         left, right = (
-            turn([0, 1, 0], angle).translate([x, 0, 0]).scale([1.5, 3, 1]) for angle, x in ((55, 1.5), (-55, -1.5))
+            turn([0, 1, 0], angle).translate([x, 0, 0]).scale([1.5, 3, 1]) for angle, x in ((55, -1.5), (-55, 1.5))
         )
         return {
             "left": {"type": "rectangle", "to_world": left, "bsdf": bsdf},

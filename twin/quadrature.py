@@ -1,4 +1,6 @@
-"""Quadrature nodes of a light path: one low-discrepancy set, the same in every pixel."""
+"""Quadrature nodes of a light path: one set, the same in every pixel."""
+
+from pathlib import Path
 
 import numpy as np
 from scipy.stats import qmc
@@ -16,3 +18,8 @@ def nodes(count: int, dimensions: int) -> np.ndarray:
         raise ValueError(f"the number of nodes must be a power of two of at least 2, not {count}")
     half = qmc.Sobol(dimensions, rng=np.random.default_rng(1)).random(count // 2)
     return np.clip(np.concatenate([half, 1 - half]), 1e-6, 1 - 1e-6).astype(np.float32)
+
+
+def designed_nodes() -> np.ndarray:
+    """The 16 nodes for plain surfaces lit directly, (16, 6) float32, see ``node_design``."""
+    return np.loadtxt(Path(__file__).with_name("nodes_plain.csv"), delimiter=",", dtype=np.float32)

@@ -9,6 +9,7 @@ from greenough.scenes.materials import MATERIALS, Diffuse, Material, RoughConduc
 from greenough.scenes.parts import Part
 
 from . import plugins  # noqa: F401  registers the names used below
+from .quadrature import designed_nodes
 from .renderer import mi
 from .settings import OpticsSettings, RenderSettings
 
@@ -72,12 +73,13 @@ def specimen_dict(parts: Sequence[Part], render: RenderSettings) -> dict[str, mi
 
 def integrator_dict(render: RenderSettings, plain: bool, flat: bool) -> dict[str, Any]:
     """The one-pass integrator for a specimen that is ``plain`` (one material, no relief) or ``flat`` (no relief)."""
-    return {
+    integrator = {
         "type": "fringe",
-        "nodes": render.nodes_plain if plain else render.nodes,
+        "nodes": render.nodes,
         "nodes_indirect": render.nodes_indirect,
         "bounces": 1 if flat else render.bounces,
     }
+    return integrator | {"node_table": mi.TensorXf(designed_nodes())} if plain else integrator
 
 
 def _mesh(name: str, part: Part, diffuse_only: bool) -> mi.Mesh:

@@ -76,10 +76,12 @@ class BoardSettings(BaseModel):
 
 
 class RenderSettings(BaseModel):
-    """Light paths per pixel for plain planes, for other specimens, and for their interreflections."""
+    """Light paths per pixel of specimens with texture or relief, and for their interreflections.
+
+    Plain planes are rendered with the 16 designed nodes of ``greenough.twin.node_design``.
+    """
 
     model_config = _STRICT
-    nodes_plain: Nodes = 16
     nodes: Nodes = 64
     nodes_indirect: Nodes = 16
     bounces: Annotated[int, Field(ge=1, le=8)] = 2  # surface interactions of a path: 1 has no interreflection

@@ -7,6 +7,9 @@
  * - nodes_indirect: integer
      How many more paths per pixel carry the interreflections (default: as many as ``nodes``, scaled with ``spp``).
      They are incoherent and slow, and interreflections are faint and smooth.
+ * - node_table: tensor (nodes, 6)
+     The nodes of the direct light themselves, in the unit cube: pixel, sensor's pupil, projector's pupil. It replaces
+     the low-discrepancy ones unless ``spp`` asks for another number.
  * - bounces: integer
      Surface interactions of a path: 1 is direct light only, 2 adds one interreflection (default: 2).
  * - shift_per_pixel: boolean
@@ -17,6 +20,8 @@ The result of ``mi.render`` is a tensor (rows, cols, N), a channel per pattern. 
 in all channels. Glossy surfaces are met by sampling the emitters, so that mirror-like ones need an emitter with an
 extent that rays can hit.
 """
+
+import numpy as np
 
 from ..quadrature import nodes
 from ..renderer import dr, mi
@@ -33,7 +38,10 @@ class FringeIntegrator(mi.SamplingIntegrator):
 
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
+        self.node_table = np.array(props["node_table"]) if "node_table" in props else None
         self.nodes = int(props.get("nodes", 16))
+        if self.node_table is not None:
+            self.nodes = len(self.node_table)
         self.nodes_indirect = int(props.get("nodes_indirect", self.nodes))
         self.bounces = int(props.get("bounces", 2))
         self.shift_per_pixel = bool(props.get("shift_per_pixel", False))
@@ -71,7 +79,8 @@ class FringeIntegrator(mi.SamplingIntegrator):
         cols, rows = int(size[0]), int(size[1])
         bounces = self.bounces - 1 if indirect else 0
         dimensions = DIMENSIONS_CAMERA + DIMENSIONS_LIGHT + DIMENSIONS_BOUNCE * bounces
-        table = mi.Float(nodes(count, dimensions).ravel())
+        designed = self.node_table is not None and count == self.nodes and not indirect
+        table = mi.Float((self.node_table if designed else nodes(count, dimensions)).ravel().astype(np.float32))
         pixel = dr.arange(mi.UInt32, rows * cols)
         column, row = mi.Float(pixel % cols), mi.Float(pixel // cols)
         if dr.hint(self.shift_per_pixel, mode="scalar"):

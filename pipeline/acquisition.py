@@ -25,6 +25,9 @@ from .unfinished import Step, Unfinished
 
 _log = logging.getLogger(__name__)
 
+ZERO = "zero"
+"""Name of the plane in which the board's two sides meet: its blank side at stage position 0."""
+
 FLAT = "flat"
 """Name of the posture in which the board lies flat: it carries the world frame."""
 
@@ -42,8 +45,8 @@ def calibrate(
 
     The board is shown tilted in all postures but one, then flat, each with fringes, from whose background the spots
     are found. It is then turned over, and the stage lifts its blank side through the planes. The flat posture gives the
-    world frame, the stage's readings give the heights, and stage position 0 is z = 0 of both. The exposure is set once
-    for each side, and again after a posture in which the board was not found.
+    world frame, the stage's readings give the heights, and the blank side in the flat posture's place is z = 0 of both.
+    The exposure is set once for each side, and again after a posture in which the board was not found.
 
     Every finished posture and plane is kept in ``OUT.partial``; when the run is interrupted, the same call with a rig
     opened at ``exposures_done=Unfinished.beside(out).exposures`` goes on from there, to the same calibration. The
@@ -58,7 +61,7 @@ def calibrate(
     run : str
         The run that the rig was opened for.
     advance : callable
-        Called with 1 after each of the ``procedure.postures + procedure.planes`` steps.
+        Called with 1 after each of the ``procedure.postures + procedure.planes + 1`` steps.
 
     Raises
     ------
@@ -79,12 +82,21 @@ def calibrate(
     with unfinished.repeated_on_refusal(f"posture-{name}" for name in spots):
         camera = _calibrate_camera(rig, spots)
 
+    # The blank side first lies where the printed one lay, before the stage moves: this is z = 0 of both.
+    phase_at_zero, _ = acquire.plane(ZERO, 0.0)
     phases = np.empty((len(heights), *rig.camera.shape), dtype=np.float32)
     readings = np.empty(len(heights))
     for k, height in enumerate(heights):
-        phases[k], readings[k] = acquire.plane(k, height)
-    with unfinished.repeated_on_refusal(f"plane-{k:02d}" for k in range(len(heights))):
+        phases[k], readings[k] = acquire.plane(f"{k:02d}", height)
+    with unfinished.repeated_on_refusal(f"plane-{name}" for name in (ZERO, *(f"{k:02d}" for k in range(len(heights))))):
         fit = fit_phase_height(phases, readings)
+        # Readings err, and their fit need not pass through the shared posture: heights are counted from there.
+        zero = fit.relation.height(phase_at_zero)
+        if not np.isfinite(zero).any():
+            raise InputError(
+                "the blank side at stage position 0 shares no pixel with the planes: lay it into the light."
+            )
+        fit = fit_phase_height(phases, readings - np.nanmean(zero))
 
     calibration = Calibration(
         camera=camera.camera,
@@ -270,7 +282,7 @@ class _Acquirer:
         self._exposed = bool(arrays)
         return Spots(**arrays) if arrays else None
 
-    def plane(self, k: int, height: float) -> tuple[np.ndarray, float]:
+    def plane(self, name: str, height: float) -> tuple[np.ndarray, float]:
         """Absolute phase (rows, cols) of the blank side at one height, NaN where invalid, and the stage's reading."""
 
         def take() -> dict[str, np.ndarray]:
@@ -278,7 +290,7 @@ class _Acquirer:
                 self._rig.operator.place(Placement("board", face=BLANK))
                 self._blank_side_up = True
             self._rig.stage.move_to_mm(float(height))
-            if k == 0:
+            if name == ZERO:
                 auto_exposure(self._rig)
             frames, phase_map = self._capture()
             return {
@@ -286,7 +298,7 @@ class _Acquirer:
                 "stage_position_mm": np.array(frames.stage_position_mm),
             }
 
-        arrays = self._once(f"plane-{k:02d}", take)
+        arrays = self._once(f"plane-{name}", take)
         return arrays["phase_rad"], float(arrays["stage_position_mm"])
 
     def _once(self, name: str, take: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:

@@ -37,7 +37,7 @@ def calibrate(
     """
     exposures_done = Unfinished.beside(out).exposures
     with open_rig(rig, settings or (), run=run, exposures_done=exposures_done) as opened:
-        steps = opened.procedure.postures + opened.procedure.planes
+        steps = opened.procedure.postures + opened.procedure.planes + 1
         with progress(steps, "calibrating", quiet=as_json) as advance:
             calibration = acquisition.calibrate(opened, out, run, advance)
     show({"calibration": out, "rig": calibration.identity.name, "run": run, **calibration.figures}, as_json)

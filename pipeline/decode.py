@@ -7,10 +7,11 @@ from dataclasses import dataclass
 from math import cos, inf, pi, sin
 
 import numpy as np
+from scipy.optimize import nnls
+
 from greenough.instrument.contract import CameraNoise, Frames
 from greenough.instrument.errors import InputError
 from greenough.instrument.llvm import ensure_llvm
-from scipy.optimize import nnls
 
 from .fringes import FringeSet
 from .unwrap import RESIDUAL_LIMIT, order_is_safe, unwrap

@@ -8,6 +8,7 @@ import cv2
 import h5py
 import numpy as np
 import typer
+
 from greenough.instrument import hdf5
 from greenough.instrument.errors import InputError
 from greenough.instrument.verbs import JsonOption, show

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from math import inf
 
 import numpy as np
+
 from greenough.instrument.contract import CameraNoise, Frames, Rig
 from greenough.instrument.errors import InputError
 

@@ -215,7 +215,7 @@ def test_a_killed_calibration_goes_on_to_the_same_result(undisturbed, tmp_path, 
     with PlainRig(exposures_done=Unfinished.beside(out).exposures) as rig:
         resumed = calibrate(rig, out, run="run", advance=steps.append)
     assert_same(resumed, undisturbed[0])
-    assert sum(steps) == PROCEDURE.postures + PROCEDURE.planes
+    assert sum(steps) == PROCEDURE.postures + PROCEDURE.planes + 1
     tilted_again = [placement.posture for placement in rig.placed if placement.posture is not None]
     assert tilted_again == list(range(min(dies_at, 8) - 1, 7))
 
@@ -270,7 +270,8 @@ def test_the_rim_of_the_light_is_left_out_of_every_plane(undisturbed):
     for z in plane_heights(PlainRig()):
         light, _ = scene(Placement("board", face="blank"), False, z)
         near_the_dark = minimum_filter(light, size=7) == 0
-        ends_here = np.abs(relation.z_range - np.float32(z)).min(axis=-1) < 1e-6
+        # Heights are counted from the shared posture: all shift alike, by far less than a step.
+        ends_here = np.abs(relation.z_range - z).min(axis=-1) < PROCEDURE.plane_step_mm / 10
         counted += ends_here.sum()
         assert not (ends_here & near_the_dark).any()
     assert counted >= 2 * relation.valid.sum()

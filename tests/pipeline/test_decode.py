@@ -2,6 +2,7 @@ from math import inf, pi
 
 import numpy as np
 import pytest
+
 from greenough.instrument.contract import CameraNoise, Frames
 from greenough.instrument.errors import InputError
 from greenough.pipeline.decode import decode, estimate_variance

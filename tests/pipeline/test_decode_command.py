@@ -5,10 +5,11 @@ import cv2
 import h5py
 import numpy as np
 import pytest
+from typer.testing import CliRunner
+
 from greenough.instrument import hdf5
 from greenough.instrument.errors import InputError
 from greenough.pipeline.decode_command import KIND, VERSION, app, read_stack
-from typer.testing import CliRunner
 
 COLUMN = np.broadcast_to(np.linspace(5, 590, 120), (8, 120))
 

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from greenough.instrument.contract import CameraNoise, Frames, Procedure
 from greenough.instrument.errors import InputError
 from greenough.pipeline.decode import decode

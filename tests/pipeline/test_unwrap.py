@@ -2,11 +2,12 @@ from math import pi
 
 import numpy as np
 import pytest
-from greenough.pipeline.fringes import PAPER, FringeSet
-from greenough.pipeline.unwrap import order_is_safe, unwrap
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import norm
+
+from greenough.pipeline.fringes import PAPER, FringeSet
+from greenough.pipeline.unwrap import order_is_safe, unwrap
 
 from drjit.llvm import Float  # isort: skip  (unwrap has found the LLVM library)
 

@@ -26,7 +26,7 @@ Advance = Callable[[float], None]
 def steps(rig_name: str, overrides: Sequence[str]) -> int:
     """How many equal steps of progress a demo takes, roughly a second each."""
     rig, _ = open_twin(rig_name, overrides)
-    return rig.procedure.postures + rig.procedure.planes + len(VOLUME_HEIGHTS_MM) + 4 * len(SPECIMENS) + 6
+    return rig.procedure.postures + rig.procedure.planes + 1 + len(VOLUME_HEIGHTS_MM) + 4 * len(SPECIMENS) + 6
 
 
 def demonstrate(rig_name: str, overrides: Sequence[str], folder: Path, advance: Advance) -> list[Claim]:

@@ -1,0 +1,130 @@
+"""Claims about the scene that is rendered. Comparisons by chance refuse equal pictures once in a thousand times."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from numpy.testing import assert_allclose
+
+import greenough.twin as gt
+from greenough.instrument.contract import Placement
+from greenough.twin.renderer import mi
+from greenough.twin.rig import fringe_patterns
+from greenough.twin.scene import axis_frame
+
+FALSE_ALARM = 1e-3
+CONVERGENCE = np.radians(12.0)
+MIDDLE = ("camera.rows=30", "camera.cols=40")  # half of the field in the same coarse pixels
+PATHS = 64
+
+
+def stack_of(picture: object) -> np.ndarray:
+    """(rows, cols, N) as mi.render gives it, as the rig's (N, rows, cols)."""
+    return np.moveaxis(np.array(picture), -1, 0)
+
+
+def renders(scene: mi.Scene, seeds: Sequence[int] = range(32)) -> np.ndarray:
+    """Independent stacks, (seeds, N, rows, cols)."""
+    return np.stack([stack_of(mi.render(scene, spp=PATHS, seed=seed)) for seed in seeds]).astype(float)
+
+
+@pytest.mark.parametrize(
+    "sample", ["plane", "coin", "bga", "diaphragm-concave", "second-board", Placement("board", posture=3)], ids=str
+)
+def test_the_scene_rendered_by_mitsuba_is_the_rigs_irradiance(small, sample):
+    rig, _ = small()
+    rig.stage.move_to_mm(0.3)
+    patterns = fringe_patterns(rig)[:5]
+    scene = mi.load_dict(gt.scene_dict(rig, sample, patterns))
+    irradiance = rig.irradiance(patterns)
+    assert irradiance.max() > 0.1
+    # The same nodes and paths; kernels may add in another order.
+    assert_allclose(stack_of(mi.render(scene)), irradiance, rtol=1e-5, atol=1e-7)
+
+
+def test_the_scenes_default_patterns_are_the_fringes_of_the_rigs_procedure(small):
+    rig, _ = small()
+    picture = mi.render(mi.load_dict(gt.scene_dict(rig, "plane")))
+    assert_allclose(stack_of(picture), rig.irradiance(fringe_patterns(rig)), rtol=1e-5, atol=1e-7)
+
+
+def test_independent_renders_of_the_scene_are_the_rigs_irradiance_but_for_chance(small, chance):
+    # A smooth specimen and so many nodes that the fixed ones are as good as exact.
+    rig, _ = small(*MIDDLE, "twin.render.nodes=4096", "twin.render.nodes_indirect=1024")
+    patterns = fringe_patterns(rig)[[0, 12]]
+    parts = gt.scene_dict(rig, "diaphragm-raised", patterns)
+    scene = mi.load_dict(parts | {"integrator": parts["integrator"] | {"shift_per_pixel": True}})
+    shifted = renders(scene)
+    irradiance = rig.irradiance(patterns).astype(float)
+    assert chance(shifted, np.broadcast_to(irradiance, shifted.shape), PATHS) > FALSE_ALARM
+    # The same test sees a hundredth of brightness, and half a pixel.
+    half = (irradiance + np.roll(irradiance, 1, axis=2)) / 2
+    for wrong in (1.01 * irradiance, half):
+        assert chance(shifted, np.broadcast_to(wrong, shifted.shape), PATHS) < FALSE_ALARM
+
+
+def test_anybodys_integrator_sees_one_pattern_of_the_scene(small, chance):
+    rig, _ = small(*MIDDLE)
+    patterns = fringe_patterns(rig)[[12]]
+    parts = gt.scene_dict(rig, "bga", patterns)
+    native = renders(mi.load_dict(parts | {"integrator": {"type": "path", "max_depth": 3}}), range(1000, 1032))
+    for bounces, alike in ((2, True), (1, False)):
+        changes = {"shift_per_pixel": True, "bounces": bounces, "nodes_indirect": 64}
+        shifted = renders(mi.load_dict(parts | {"integrator": parts["integrator"] | changes}))
+        assert (chance(shifted, native, PATHS) > FALSE_ALARM) == alike
+
+
+def test_both_axes_meet_at_the_origin_and_lean_in_the_x_z_plane():
+    for angle in (-0.1, 0.2):
+        frame = axis_frame(angle, 224.56)
+        assert_allclose(frame @ [0, 0, 224.56, 1], [0, 0, 0, 1], atol=1e-12)
+        assert_allclose(frame[:3, :3].T @ frame[:3, :3], np.eye(3), atol=1e-15)
+        assert np.linalg.det(frame[:3, :3]) == pytest.approx(1)
+        assert_allclose(frame[:3, 3], 224.56 * np.array([np.sin(angle), 0, np.cos(angle)]))
+        assert_allclose(frame[:3, 1], [0, 1, 0])  # y up, against the rows
+
+
+def test_a_white_plane_reflects_its_share_of_the_light(small):
+    rig, _ = small(perfect=True)
+    rig.operator.place(Placement("plane"))
+    white = np.full((1, *rig.projector.shape), 255, np.uint8)
+    middle = rig.irradiance(white)[0, 28:32, 38:42]
+    # Ceramic of 0.85, met at half of the convergence; the Airy pattern's tails cross 300 mirrors to the edge.
+    assert_allclose(middle, 0.85 * np.cos(CONVERGENCE / 2) / np.pi, rtol=3e-3)
+
+
+def test_spots_and_ink_differ_in_brightness_as_their_materials_do(small):
+    rig, bench = small(
+        "camera.rows=40", "camera.cols=40", "twin.optics.camera_focal_px=22683", perfect=True, pinholes=True
+    )
+    rig.operator.place(Placement("board"))
+    picture = rig.irradiance(np.full((1, *rig.projector.shape), 255, np.uint8))[0]
+    # Where the pixel's whole surroundings are of one material: well inside or outside the spot.
+    spots = bench.specimen.as_built["centres_mm"][:, :2]
+    xy = bench.truth().xyz_world[..., :2]
+    nominal = rig.board.diameters() / 2
+    inside = (np.linalg.norm(xy[:, :, None] - spots, axis=-1) - nominal).min(axis=-1)
+    assert (inside < -0.02).sum() > 50
+    assert (inside > 0.02).sum() > 50
+    assert picture[inside < -0.02].mean() / picture[inside > 0.02].mean() == pytest.approx(0.85 / 0.08, rel=0.01)
+
+
+def test_diffuse_only_makes_every_material_lambertian(small):
+    rig, _ = small("twin.render.diffuse_only=true")
+    scene = mi.load_dict(gt.scene_dict(rig, "bga"))
+    assert {shape.bsdf().class_name() for shape in scene.shapes()} == {"SmoothDiffuse"}
+    rig, _ = small()
+    scene = mi.load_dict(gt.scene_dict(rig, "bga"))
+    assert "SmoothDiffuse" not in {shape.bsdf().class_name() for shape in scene.shapes()}
+
+
+def test_a_mesh_file_is_a_sample(small, tmp_path: Path):
+    block = trimesh.creation.box((4.0, 3.0, 0.2))
+    block.export(tmp_path / "block.ply")
+    rig, bench = small(perfect=True)
+    white = np.full((1, *rig.projector.shape), 255, np.uint8)
+    scene = mi.load_dict(gt.scene_dict(rig, str(tmp_path / "block.ply"), white))
+    assert_allclose(stack_of(mi.render(scene)), rig.irradiance(white), rtol=1e-5, atol=1e-7)
+    assert_allclose(bench.truth().xyz[30, 40, 2], 0.1, atol=1e-6)

@@ -76,6 +76,10 @@ class Bench:
         """Where the mounted part really is, (4, 4)."""
         return self.world_from_twin @ self._workbench.twin_from_part()
 
+    def blank_face_height(self, reading: float, xy_world: np.ndarray) -> np.ndarray:
+        """Where the board's blank face truly is during calibration: heights (n,) at ``xy_world`` (n, 2), mm."""
+        return self._workbench.blank_face_height(reading, xy_world)
+
     def parts_in_world(self) -> list[Part]:
         """The mounted surfaces in the calibrated frame: the mesh to compare with."""
         motion = self.world_from_part

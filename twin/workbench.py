@@ -9,7 +9,7 @@ import numpy as np
 from greenough.instrument.contract import Placement
 from greenough.instrument.errors import InputError
 from greenough.instrument.rigfile import RigFile
-from greenough.scenes.board import BoardErrors, PrintedBoard, board, print_board
+from greenough.scenes.board import BoardErrors, PrintedBoard, blank_height, board, print_board
 from greenough.scenes.catalogue import NAMES, specimen
 from greenough.scenes.mesh_file import load_mesh
 from greenough.scenes.parts import Part, Specimen, transform
@@ -72,8 +72,8 @@ class Workbench:
                 pose = tilted(seed, placement.posture, printed.centres)
             elif placement.face == "printed":
                 pose = self.table_from_flat_board(placement.part)
-            else:  # lying on its ink lifts the blank face
-                pose = flat(seed, f"{placement.part} blank") @ lifted(printed.ink_thickness)
+            else:
+                pose = self.table_from_turned_board(placement.part)
             return Mounted(placement, board(printed, placement.face), pose, plain=placement.face == "blank", flat=True)
         if Path(placement.part).suffix:
             part = load_mesh(placement.part, placement.unit, placement.pose_mm_deg)
@@ -90,6 +90,21 @@ class Workbench:
     def table_from_flat_board(self, part: str = "board") -> np.ndarray:
         """Motion (4, 4) of the board that lies on its blank face."""
         return flat(self._settings.seed, part) @ on_wedge(self.printed_board(part).wedge)
+
+    def table_from_turned_board(self, part: str = "board") -> np.ndarray:
+        """Motion (4, 4) of the board that lies on its printed face: the ink lifts its blank one."""
+        lift = lifted(self.printed_board(part).ink_thickness)
+        return flat(self._settings.seed, f"{part} blank") @ lift
+
+    def blank_face_height(self, reading: float, xy_world: np.ndarray) -> np.ndarray:
+        """True height (n,) of the blank face at ``xy_world`` (n, 2) in the calibrated frame, where the stage reads so."""
+        motion = self.world_from_twin() @ self.stage.twin_from_table(reading) @ self.table_from_turned_board()
+        inverse = np.linalg.inv(motion)
+        # The face is flat to micrometres: the height used to find the place on it hardly matters.
+        points = np.column_stack([xy_world, np.full(len(xy_world), reading)])
+        on_board = points @ inverse[:3, :3].T + inverse[:3, 3]
+        on_board[:, 2] = blank_height(self.printed_board("board"), on_board[:, :2])
+        return on_board @ motion[2, :3] + motion[2, 3]
 
     def twin_from_part(self) -> np.ndarray:
         """Where the mounted part really is, (4, 4), at the stage's present position."""

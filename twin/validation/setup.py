@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from greenough.instrument.contract import Placement
+from greenough.pipeline.acquisition import plane_heights
 from greenough.pipeline.calibration import Calibration
 from greenough.pipeline.decode import PhaseMap, decode
 from greenough.pipeline.exposure import auto_exposure
@@ -43,6 +44,11 @@ class Setup:
     def filter_name(self) -> str:
         """How a filtered row names it."""
         return f"gaussian on phasors, fwhm {self.filter_fwhm_px:.2f} px"
+
+    @property
+    def readings(self) -> np.ndarray:
+        """Stage positions of the calibration's planes, (planes,) mm."""
+        return plane_heights(self.rig)
 
     def place(self, placement: Placement, position: float = 0.0) -> None:
         """Mount a part, move the stage, and expose for the part."""
@@ -83,14 +89,20 @@ class Setup:
         paper: float | None = None,
         limit: float | None = None,
         holds: bool | None = None,
-        expected_to_hold: bool = True,
+        expected_to_hold: bool | None = None,
         filter: str = NO_FILTER,
         alignment: str = "none",
         predicted: float | None = None,
     ) -> Claim:
-        """A row about this instrument; with a limit and no ``holds``, |measured| <= limit decides."""
+        """A row about this instrument.
+
+        Without ``holds``, |measured| <= limit decides, and a row is expected to hold if the same is true of what is
+        ``predicted``; without a prediction it is expected to.
+        """
         if holds is None and limit is not None:
-            holds = bool(abs(measured) <= limit)
+            holds = abs(measured) <= limit
+            if predicted is not None:
+                expected_to_hold = abs(predicted) <= limit
         return Claim(
             claim=name,
             specimen=specimen,
@@ -102,9 +114,9 @@ class Setup:
             alignment=alignment,
             calibration=str(self.calibration.figures["method"]),
             seed=self.bench.settings.seed,
-            limit=limit,
-            holds=holds,
-            expected_to_hold=None if holds is None else expected_to_hold,
+            limit=None if limit is None else float(limit),
+            holds=None if holds is None else bool(holds),
+            expected_to_hold=None if holds is None else bool(expected_to_hold is not False),
             criterion=criterion,
-            predicted=predicted,
+            predicted=None if predicted is None else float(predicted),
         )

@@ -97,7 +97,7 @@ class Workbench:
         return flat(self._settings.seed, f"{part} blank") @ lift
 
     def blank_face_height(self, reading: float, xy_world: np.ndarray) -> np.ndarray:
-        """True height (n,) of the blank face at ``xy_world`` (n, 2) in the calibrated frame, where the stage reads so."""
+        """True height (n,) of the blank face at ``xy_world`` (n, 2), calibrated frame, where the stage reads so."""
         motion = self.world_from_twin() @ self.stage.twin_from_table(reading) @ self.table_from_turned_board()
         inverse = np.linalg.inv(motion)
         # The face is flat to micrometres: the height used to find the place on it hardly matters.

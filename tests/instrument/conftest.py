@@ -6,6 +6,7 @@ from typing import Self
 
 import numpy as np
 import pytest
+
 from greenough.instrument import open_rig
 from greenough.instrument.contract import CameraNoise, Frames, Placement, Procedure, Rig, RigIdentity, SpotBoard
 from greenough.instrument.errors import InputError

@@ -8,6 +8,7 @@ from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import pytest
+
 from greenough.instrument.command import GROUP, run
 
 INSTRUMENT = EntryPoint("instrument", "greenough.instrument.commands:app", GROUP)

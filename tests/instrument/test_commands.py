@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from greenough.instrument import open_rig
 from greenough.instrument.command import GROUP, run
 from greenough.instrument.contract import Placement

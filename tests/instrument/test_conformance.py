@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from greenough.instrument.contract import Placement, Rig
 from greenough.instrument.errors import InputError
 from greenough.instrument.recording import record

@@ -2,10 +2,11 @@ import hashlib
 from pathlib import Path
 
 import pytest
-from greenough.instrument.errors import InputError
-from greenough.instrument.files import atomic_path, sha256_of_file
 from hypothesis import given
 from hypothesis import strategies as st
+
+from greenough.instrument.errors import InputError
+from greenough.instrument.files import atomic_path, sha256_of_file
 
 
 def test_the_file_appears_whole_and_alone(tmp_path: Path) -> None:

@@ -4,11 +4,12 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from greenough.instrument import hdf5
-from greenough.instrument.errors import InputError
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+
+from greenough.instrument import hdf5
+from greenough.instrument.errors import InputError
 
 
 def written(path: Path) -> Path:

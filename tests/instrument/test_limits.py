@@ -1,9 +1,10 @@
 import numpy as np
 import pytest
-from greenough.instrument.errors import InputError
-from greenough.instrument.limits import check_patterns, check_within
 from hypothesis import given
 from hypothesis import strategies as st
+
+from greenough.instrument.errors import InputError
+from greenough.instrument.limits import check_patterns, check_within
 
 
 @given(value=st.floats(), low=st.floats(-10, 0), high=st.floats(0, 10))

@@ -2,6 +2,7 @@ import os
 from pathlib import Path
 
 import pytest
+
 from greenough.instrument.llvm import VARIABLE, ensure_llvm
 
 

@@ -1,6 +1,7 @@
 from pathlib import Path
 
 import pytest
+
 from greenough.instrument import open_rig
 from greenough.instrument.contract import Placement
 from greenough.instrument.errors import InputError

@@ -2,6 +2,7 @@ import io
 import sys
 
 import pytest
+
 from greenough.instrument.progress import progress
 
 

@@ -4,6 +4,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+
 from greenough.instrument.contract import Frames, Placement
 from greenough.instrument.errors import InputError
 from greenough.instrument.recording import record

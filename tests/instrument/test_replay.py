@@ -6,13 +6,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
 from greenough.instrument.contract import Frames, Placement, Rig
 from greenough.instrument.errors import InputError
 from greenough.instrument.journal import describe
 from greenough.instrument.recording import record
 from greenough.instrument.replay import open_recording
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 PLACEMENTS = [
     Placement("board"),

@@ -5,6 +5,10 @@ from pathlib import Path
 from typing import Annotated
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
 from greenough.instrument.errors import InputError
 from greenough.instrument.rigfile import (
     RigFile,
@@ -13,9 +17,6 @@ from greenough.instrument.rigfile import (
     describe_validation_error,
     load_rig_file,
 )
-from hypothesis import given
-from hypothesis import strategies as st
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 TWIN = (resources.files("greenough.instrument") / "rigs" / "twin.toml").read_text(encoding="utf-8")
 

@@ -15,7 +15,7 @@ def smooth(truth: Truth, radius_px: float) -> np.ndarray:
     within the disc fails that by its jump or by a pixel that is not lit.
     """
     reach = int(radius_px)
-    grid = np.arange(-reach, reach + 1)
+    grid = range(-reach, reach + 1)
     offsets = [(dv, du) for dv in grid for du in grid if du * du + dv * dv <= radius_px * radius_px]
     z = np.pad(np.where(truth.lit_and_seen, truth.xyz[..., 2], np.nan), reach, constant_values=np.nan)
     rows, cols = truth.lit_and_seen.shape

@@ -1,4 +1,4 @@
-"""The verbs that need truth: demo."""
+"""The verbs that need a twin: demo and bench."""
 
 from dataclasses import asdict
 from pathlib import Path
@@ -33,4 +33,23 @@ def demo(
     unexpected = [claim.claim for claim in claims if not claim.as_expected]
     show({"claims": table, "unexpected": unexpected, "folder": out}, as_json)
     if unexpected:
+        raise typer.Exit(1)
+
+
+@app.command()
+def bench(
+    rig: Annotated[str, typer.Argument(metavar="[RIG]", help="A twin.")] = "twin",
+    settings: SetOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Time the costly steps on this machine.
+
+    Exits with 1 if a ratio exceeds its limit.
+    """
+    from .benchmark import benchmark
+
+    with progress(5, "bench", quiet=as_json) as advance:
+        rows = benchmark(rig, settings or [], advance)
+    show({"rows": [asdict(row) for row in rows]}, as_json)
+    if any(row.holds is False for row in rows):
         raise typer.Exit(1)

@@ -162,7 +162,7 @@ class Scenery:
         """Independent pictures of one scene, (seeds, rows, cols, channels)."""
         parts = {"type": "scene", "sensor": sensor, "emitter": emitter, "integrator": integrator}
         scene = mi.load_dict(parts | (self.bodies() if bodies is None else bodies))
-        return np.stack([np.array(mi.render(scene, spp=self.paths, seed=seed), float) for seed in seeds])
+        return np.stack([np.array(mi.render(scene, spp=self.paths, seed=mi.UInt32(seed)), float) for seed in seeds])
 
 
 @pytest.fixture(scope="session")

@@ -108,8 +108,8 @@ def test_ray_differentials_are_the_rays_of_the_neighbours():
     camera = sensor(aperture_radius=NA * DISTANCE)
     position, pupil = mi.Point2f(0.4, 0.7), mi.Point2f(0.2, 0.9)
     ray, _ = camera.sample_ray_differential(0.0, 0.5, position, pupil)
-    right, _ = camera.sample_ray(0.0, 0.5, position + mi.Vector2f(1 / 12, 0), pupil)
-    below, _ = camera.sample_ray(0.0, 0.5, position + mi.Vector2f(0, 1 / 9), pupil)
+    right, _ = camera.sample_ray(0.0, 0.5, mi.Point2f(0.4 + 1 / 12, 0.7), pupil)
+    below, _ = camera.sample_ray(0.0, 0.5, mi.Point2f(0.4, 0.7 + 1 / 9), pupil)
     assert ray.has_differentials
     for ours, theirs in ((ray.d_x, right.d), (ray.d_y, below.d), (ray.o_x, right.o), (ray.o_y, below.o)):
         assert_allclose(np.array(ours), np.array(theirs), atol=1e-7)

@@ -27,7 +27,7 @@ def stack_of(picture: object) -> np.ndarray:
 
 def renders(scene: mi.Scene, seeds: Sequence[int] = range(32)) -> np.ndarray:
     """Independent stacks, (seeds, N, rows, cols)."""
-    return np.stack([stack_of(mi.render(scene, spp=PATHS, seed=seed)) for seed in seeds]).astype(float)
+    return np.stack([stack_of(mi.render(scene, spp=PATHS, seed=mi.UInt32(seed))) for seed in seeds]).astype(float)
 
 
 @pytest.mark.parametrize(

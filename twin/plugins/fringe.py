@@ -51,14 +51,16 @@ class FringeIntegrator(mi.SamplingIntegrator):
         if isinstance(sensor, int):
             sensor = scene.sensors()[sensor]
         size = sensor.film().crop_size()
-        channels = self.render_channels(scene, sensor, int(seed), int(spp))
+        channels = self.render_channels(scene, sensor, seed, int(spp))
         flat = dr.empty(mi.Float, len(channels) * dr.prod(size))
         pixel = dr.arange(mi.UInt32, dr.prod(size))
         for k, channel in enumerate(channels):
             dr.scatter(flat, channel, pixel * len(channels) + k)
         return mi.TensorXf(flat, (int(size[1]), int(size[0]), len(channels)))
 
-    def render_channels(self, scene: mi.Scene, sensor: mi.Sensor, seed: int = 0, spp: int = 0) -> list[mi.Float]:
+    def render_channels(
+        self, scene: mi.Scene, sensor: mi.Sensor, seed: mi.UInt32 | int = 0, spp: int = 0
+    ) -> list[mi.Float]:
         """The images of all patterns, N arrays of rows * cols pixels each, evaluated."""
         nodes_direct = spp or self.nodes
         nodes_indirect = max(2, self.nodes_indirect * nodes_direct // self.nodes)
@@ -85,7 +87,9 @@ class FringeIntegrator(mi.SamplingIntegrator):
         column, row = mi.Float(pixel % cols), mi.Float(pixel // cols)
         if dr.hint(self.shift_per_pixel, mode="scalar"):
             # Hashed: streams that are numbered one by one are correlated between neighbouring pixels.
-            state, stream = mi.sample_tea_32(pixel, dr.opaque(mi.UInt32, 2 * seed + indirect))
+            key = 2 * mi.UInt32(seed) + int(indirect)
+            dr.make_opaque(key)
+            state, stream = mi.sample_tea_32(pixel, key)
             rng = mi.PCG32(rows * cols, state, stream)
             shift = [rng.next_float32() for _ in range(dimensions)]
         else:

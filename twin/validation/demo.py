@@ -10,9 +10,10 @@ from greenough.pipeline.unfinished import Unfinished
 from ..rig import open as open_twin
 from .claims import Claim, write_claims
 from .pitch import pitch_claims
-from .planes import VOLUME_HEIGHTS_MM, noise_claims, step_claims, volume_claims
+from .planes import VOLUME_HEIGHTS_MM, measure_plane, noise_claims, step_claims, volume_claims
+from .report import SpecimenMaps, specimen_maps, write_report
 from .setup import Setup
-from .specimens import SPECIMENS, Measured, ball_claims, measure_specimen, specimen_claims
+from .specimens import SPECIMENS, ball_claims, measure_specimen, specimen_claims
 
 CALIBRATION_RUN = "demo calibration"
 MEASUREMENT_RUN = "demo measurement"
@@ -46,22 +47,25 @@ def demonstrate(rig_name: str, overrides: Sequence[str], folder: Path, advance: 
     setup = Setup(rig, bench, calibration)
     with rig:
         claims = [*_calibration_claims(setup)]
-        claims += noise_claims(setup)
+        plane = measure_plane(setup)
+        claims += noise_claims(setup, plane)
         advance(2)
         claims += volume_claims(setup, advance)
         claims += step_claims(setup)
         advance(2)
         claims += pitch_claims(setup)
         advance(2)
-        specimens: list[Measured] = []
+        maps: list[SpecimenMaps] = []
         for name in SPECIMENS:
             measured = measure_specimen(setup, name, folder)
             claims += specimen_claims(setup, measured)
             if name == "bga":
                 claims += ball_claims(setup, measured)
-            specimens.append(measured)
+            maps.append(specimen_maps(measured))
             advance(4)
-    write_claims(folder / "claims.json", claims, {"rig": rig_name, "settings": list(overrides)})
+    facts = {"rig": rig_name, "settings": list(overrides)}
+    write_claims(folder / "claims.json", claims, facts)
+    write_report(folder / "report.html", claims, setup, plane, maps, facts)
     return claims
 
 

@@ -1,6 +1,7 @@
 """Claims about planes: noise, depth over the volume, its extent, and a step made by the stage."""
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import erf
@@ -31,22 +32,49 @@ def vertical_error(setup: Setup, points: PointMap) -> np.ndarray:
     return (points.xyz - origin) @ normal / normal[2]
 
 
-def noise_claims(setup: Setup) -> Iterator[Claim]:
+@dataclass(frozen=True, eq=False)
+class PlaneNoise:
+    """Departures of a plane's points from their best plane, and the scatter that the frames' noise predicts.
+
+    Parameters
+    ----------
+    raw, two_exposures, filtered : (rows, cols) float64
+        Of one exposure, of the mean of two, and of the first one filtered; mm, NaN without a point.
+    noise, filtered_noise : float
+        Predicted for one exposure, mm.
+    """
+
+    raw: np.ndarray
+    two_exposures: np.ndarray
+    filtered: np.ndarray
+    noise: float
+    filtered_noise: float
+
+
+def measure_plane(setup: Setup) -> PlaneNoise:
+    """Capture a plane twice."""
+    setup.place(Placement("plane"), NOISE_HEIGHT_MM)
+    first, second = setup.capture(), setup.capture()
+    raw = _without_plane(setup, setup.points(first))
+    smoother = filter_phasors(first, setup.filter_fwhm_px)
+    return PlaneNoise(
+        raw=raw,
+        two_exposures=_without_plane(setup, PointMap((setup.points(first).xyz + setup.points(second).xyz) / 2)),
+        filtered=_without_plane(setup, setup.points(smoother)),
+        noise=_rms(setup.height_sigma(first)[np.isfinite(raw)]),
+        filtered_noise=_rms(setup.height_sigma(smoother)[np.isfinite(raw)]),
+    )
+
+
+def noise_claims(setup: Setup, plane: PlaneNoise) -> Iterator[Claim]:
     """What one and two exposures of a plane scatter by, about the best plane through them.
 
     Predicted from the frames' noise, the calibration's, and the shape that the calibration took for flat.
     """
-    setup.place(Placement("plane"), NOISE_HEIGHT_MM)
-    first, second = setup.capture(), setup.capture()
-    raw = _without_plane(setup, setup.points(first))
-    two = _without_plane(setup, PointMap((setup.points(first).xyz + setup.points(second).xyz) / 2))
-    filtered = _without_plane(setup, setup.filtered_points(first))
+    raw, two, filtered, noise = plane.raw, plane.two_exposures, plane.filtered, plane.noise
     line = raw[min(PAPER_LINE, raw.shape[0] - 1)]
     line = line[np.isfinite(line)]
-
     shape = flatness_error(systematic_error(setup.bench, setup.readings, np.array([NOISE_HEIGHT_MM]))[0])
-    noise = _rms(setup.height_sigma(first)[np.isfinite(raw)])
-    smooth_noise = _rms(setup.height_sigma(filter_phasors(first, setup.filter_fwhm_px))[np.isfinite(raw)])
     fixed = CALIBRATION_SD_SHARE[0] * noise
 
     def predicted(measurement: float) -> float:
@@ -64,7 +92,8 @@ def noise_claims(setup: Setup) -> Iterator[Claim]:
     )  # fmt: skip
     yield setup.claim(
         "plane_rmse_filtered", "plane", 1e3 * _rms(filtered), "um", _count(filtered), f"{rmse}, one exposure",
-        paper=1.223, limit=1.223, filter=setup.filter_name, alignment="best plane", predicted=predicted(smooth_noise),
+        paper=1.223, limit=1.223, filter=setup.filter_name, alignment="best plane",
+        predicted=predicted(plane.filtered_noise),
     )  # fmt: skip
     within = float(np.mean(np.abs(raw[np.isfinite(raw)]) <= 5e-3))
     expected = float(erf(5 / predicted(noise) / np.sqrt(2)))

@@ -24,9 +24,10 @@ SHINY = ("coin", "bga")  # metal and solder: several exposures are merged
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """One specimen: its points, the truth of each pixel, and the comparison of both."""
+    """One specimen: its picture, its points, the truth of each pixel, and the comparison of both."""
 
     name: str
+    background: np.ndarray  # (rows, cols) DN
     points: PointMap
     truth: Truth
     smooth: np.ndarray  # (rows, cols) bool
@@ -53,7 +54,7 @@ def measure_specimen(setup: Setup, name: str, folder: Path) -> Measured:
     mesh = Mesh(vertices, faces)
     write_cloud(folder / f"{name}.ply", cloud)
     write_mesh(folder / f"{name}-truth.ply", mesh, {"unit": "mm", "specimen": name})
-    return Measured(name, points, truth, judged, compare(cloud, mesh))
+    return Measured(name, phase_map.background, points, truth, judged, compare(cloud, mesh))
 
 
 def specimen_claims(setup: Setup, measured: Measured) -> Iterator[Claim]:

@@ -19,10 +19,15 @@ VOLUME_HEIGHTS_MM = (-1.48, -1.0, -0.5, 0.0, 0.5, 1.0, 1.48)
 
 NOISE_HEIGHT_MM = 0.1
 STEP_MM = 2.5
-PAPER_LINE = 330  # the row whose profile the paper shows
+PAPER_LINE, PAPER_ROWS = 330, 960  # the row whose profile the paper shows, and of how many
 CALIBRATION_SD_SHARE = (0.27, 0.37)
 """Standard deviation of a four-parameter fit to 30 planes over that of one measurement: in the middle of its range, and
 over the range (least squares with the design matrix of a cubic). It is a pattern that no filter takes out of z."""
+
+
+def paper_line(rows: int) -> int:
+    """The row of a picture of ``rows`` rows where the paper's profile lies."""
+    return PAPER_LINE * rows // PAPER_ROWS
 
 
 def vertical_error(setup: Setup, points: PointMap) -> np.ndarray:
@@ -72,7 +77,7 @@ def noise_claims(setup: Setup, plane: PlaneNoise) -> Iterator[Claim]:
     Predicted from the frames' noise, the calibration's, and the shape that the calibration took for flat.
     """
     raw, two, filtered, noise = plane.raw, plane.two_exposures, plane.filtered, plane.noise
-    line = raw[min(PAPER_LINE, raw.shape[0] - 1)]
+    line = raw[paper_line(len(raw))]
     line = line[np.isfinite(line)]
     shape = flatness_error(systematic_error(setup.bench, setup.readings, np.array([NOISE_HEIGHT_MM]))[0])
     fixed = CALIBRATION_SD_SHARE[0] * noise
@@ -103,7 +108,7 @@ def noise_claims(setup: Setup, plane: PlaneNoise) -> Iterator[Claim]:
     )  # fmt: skip
     yield setup.claim(
         "plane_line_noise", "plane", 1e3 * float(np.percentile(np.abs(line), 95)), "um", len(line),
-        f"95 % of the departures along image row {PAPER_LINE}", paper=4.0, limit=4.0, alignment="best plane",
+        f"95 % of the departures along image row {paper_line(len(raw))}", paper=4.0, limit=4.0, alignment="best plane",
         predicted=1.96 * predicted(noise),
     )  # fmt: skip
 

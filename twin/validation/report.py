@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from greenough.instrument.files import atomic_path
 
 from .claims import Claim, environment
-from .planes import PAPER_LINE, PlaneNoise
+from .planes import PlaneNoise, paper_line
 from .setup import Setup
 from .specimens import Measured
 
@@ -165,7 +165,7 @@ def _plane_figure(plane: PlaneNoise) -> Figure:
     limit = _percentile(filtered)
     _show_errors(axes["map"], filtered, np.isfinite(filtered), limit, window)
     axes["map"].set_title("departure from the best plane, filtered")
-    row = min(PAPER_LINE, len(raw) - 1)
+    row = paper_line(len(raw))
     axes["map"].axhline(row, color="black", linewidth=0.6, linestyle="--")
     reach = _percentile(raw)
     _histogram(axes["histogram"], ("unfiltered", raw), ("filtered", filtered), reach)

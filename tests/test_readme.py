@@ -1,0 +1,103 @@
+"""What the README shows works as shown, on a coarse camera."""
+
+import doctest
+import glob
+import re
+import shlex
+from importlib.metadata import entry_points
+from pathlib import Path
+
+import cv2
+import h5py
+import numpy as np
+import pytest
+import trimesh
+
+from greenough.instrument.command import GROUP, run
+
+README = Path(__file__).parent.parent / "README.md"
+
+# Spots on coarse pixels must be large to be found.
+COARSE = (
+    "camera.rows=240", "camera.cols=320", "twin.optics.camera_focal_px=5670.75", "twin.render.nodes=16",
+    "board.small_diameter_mm=0.3", "board.big_diameter_mm=0.5", "procedure.postures=8", "procedure.planes=12",
+    "procedure.plane_step_mm=0.25",
+)  # fmt: skip
+
+
+def blocks(language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```$", README.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+
+
+def command(line: str) -> int:
+    words = [name for word in shlex.split(line)[1:] for name in (sorted(glob.glob(word)) if "*" in word else [word])]
+    coarse = [word for setting in COARSE for word in ("--set", setting)] if "twin" in words else []
+    return run([*words, *coarse], entry_points(group=GROUP))
+
+
+def dome() -> trimesh.Trimesh:
+    """A shallow dome, in mm."""
+    x, y = np.meshgrid(np.linspace(-5, 5, 81), np.linspace(-4, 4, 65))
+    index = np.arange(x.size).reshape(x.shape)
+    corners = np.stack([index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]], axis=-1).reshape(-1, 4)
+    faces = np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]])
+    vertices = np.column_stack([x.ravel(), y.ravel(), 0.3 - (x**2 + y**2).ravel() / 60])
+    return trimesh.Trimesh(vertices, faces, process=False)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """Where the reader works: with the frames and meshes that the commands name."""
+    folder = tmp_path_factory.mktemp("reader")
+    mesh = dome()
+    mesh.export(folder / "nominal.stl")
+    mesh.apply_scale(1000).export(folder / "part.stl")  # in um
+    return folder
+
+
+def test_examples_run_in_the_order_of_the_page_and_the_commands_with_them(folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    examples = doctest.DocTestParser().get_doctest("\n".join(blocks("python")), {}, "README.md", str(README), 0)
+    lines = "\n".join(blocks("sh")).splitlines()
+    verbs = {line.split()[1] for line in lines}
+    assert verbs == {"demo", "check", "calibrate", "measure", "compare", "decode", "record", "replay"}
+
+    patterns = np.load(saved_by(examples, "patterns.npy"))
+    Path("frames").mkdir()
+    for k, pattern in enumerate(patterns):
+        cv2.imwrite(f"frames/{k:02d}.png", pattern // 2 + 50)  # neither dark nor saturated
+
+    for line in lines:
+        # The demo and the comparison of its files are run by twin/validation/test_demo.py.
+        if "demo" not in line:
+            assert command(line) == 0, f"{line}\n{capsys.readouterr().err}"
+    with h5py.File("phase.h5") as file:
+        assert np.mean(file["valid"][()]) > 0.9  # type: ignore[index]
+
+    runner = doctest.DocTestRunner(verbose=False)
+    report: list[str] = []
+    runner.run(examples, out=report.append)
+    assert runner.failures == 0, "".join(report)
+    assert runner.tries == len(examples.examples) > 25
+
+
+def saved_by(examples: doctest.DocTest, name: str) -> str:
+    """Run the examples up to the one that saves ``name``, which the commands need."""
+    scope: dict[str, object] = {}
+    for example in examples.examples:
+        exec(compile(example.source, "README.md", "single"), scope)
+        if f'"{name}"' in example.source:
+            return name
+    raise AssertionError(f"no example saves {name}")
+
+
+def test_opens_with_the_two_lines_that_matter():
+    lines = README.read_text(encoding="utf-8").splitlines()
+    assert [line.strip() for line in lines[2:4]] == ["make demo", "make test"]
+
+
+def test_linked_files_exist():
+    links = re.findall(r"\]\(([^)#]+)\)", README.read_text(encoding="utf-8"))
+    assert links
+    for link in links:
+        assert (README.parent / link).exists(), link

@@ -1,6 +1,7 @@
 """Claims and what was measured of them: one row each, as a file and as a table."""
 
 import json
+import math
 import os
 import platform
 import sys
@@ -85,7 +86,15 @@ def environment() -> dict[str, Any]:
 
 
 def write_claims(path: Path, claims: Sequence[Claim], more: Mapping[str, Any]) -> None:
-    """Write ``claims.json``; it appears whole or not at all. ``more`` joins the environment."""
-    document = {"claims": [asdict(claim) for claim in claims], "environment": environment() | dict(more)}
+    """Write ``claims.json``; it appears whole or not at all. ``more`` joins the environment.
+
+    A figure that could not be measured (NaN) is null.
+    """
+    rows = [{name: _or_none(value) for name, value in asdict(claim).items()} for claim in claims]
+    document = {"claims": rows, "environment": environment() | dict(more)}
     with atomic_path(path) as temporary:
         temporary.write_text(json.dumps(document, indent=1, allow_nan=False))
+
+
+def _or_none(value: Any) -> Any:
+    return None if isinstance(value, float) and not math.isfinite(value) else value

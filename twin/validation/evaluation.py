@@ -12,8 +12,10 @@ def smooth(truth: Truth, radius_px: float) -> np.ndarray:
 
     Over the disc of ``radius_px`` (half of one Airy diameter) around the true point everything is lit and seen, and
     the surface departs from its best plane by less than 1 um, perpendicular to it. An edge or a shadow's boundary
-    within the disc fails that by its jump or by a pixel that is not lit.
+    within the disc fails that by its jump or by a pixel that is not lit. Where pixels are coarser than the disc, the
+    next neighbours speak for it.
     """
+    radius_px = max(radius_px, 1.0)
     reach = int(radius_px)
     grid = range(-reach, reach + 1)
     offsets = [(dv, du) for dv in grid for du in grid if du * du + dv * dv <= radius_px * radius_px]

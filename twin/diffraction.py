@@ -61,6 +61,19 @@ def defocused_transfer(
     return ((1 - q) * weight * height * np.cos(phase)).sum(axis=1) / np.pi
 
 
+@lru_cache(maxsize=4)
+def transfer_after_tent(shape: tuple[int, ...], pixel: float, na: float, wavelength: float) -> np.ndarray:
+    """What turns a picture sampled under tents into one of square pixels behind a lens, (rows, cols) float32.
+
+    Entry (j, k) belongs to the frequencies j / (2 rows) and k / (2 cols) per pixel of the discrete cosine transform of
+    a picture of ``shape``. A tent is the box of a pixel of edge ``pixel`` twice over, so that Airy pattern over box is
+    left.
+    """
+    fy, fx = (np.arange(n) / (2 * n) for n in shape)
+    box = np.sinc(fy)[:, None] * np.sinc(fx)
+    return (optical_transfer(np.hypot(fy[:, None], fx) / pixel, na, wavelength) / box).astype(np.float32)
+
+
 @lru_cache(maxsize=8)
 def pixel_response(pixel: float, na: float, wavelength: float) -> tuple[np.ndarray, np.ndarray]:
     """Inverse cumulative distribution of where the light of one pixel comes from, in units of the pixel.

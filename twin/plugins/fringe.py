@@ -26,7 +26,7 @@ import numpy as np
 from ..quadrature import nodes
 from ..renderer import dr, mi
 from .lens_projector import LensProjector
-from .lens_sensor import LensSensor
+from .lens_sensor import BORDER, LensSensor
 
 DIMENSIONS_CAMERA = 4  # pixel, camera pupil
 DIMENSIONS_LIGHT = 2  # pupil of an emitter
@@ -71,14 +71,16 @@ class FringeIntegrator(mi.SamplingIntegrator):
                 more = self._accumulate(scene, sensor, seed, nodes_indirect, indirect=True)
                 channels = [c + m for c, m in zip(channels, more, strict=True)]
                 dr.eval(channels)
-        return channels
+        border = _border(sensor)
+        return [_diffracted(c, sensor, border) for c in channels] if border else channels
 
     @dr.syntax
     def _accumulate(self, scene, sensor, seed, count, indirect):
         """Mean over ``count`` nodes of the direct or of the indirect light, N arrays."""
         size = sensor.film().crop_size()
         offset = sensor.film().crop_offset()
-        cols, rows = int(size[0]), int(size[1])
+        border = _border(sensor)
+        cols, rows = int(size[0]) + 2 * border, int(size[1]) + 2 * border
         bounces = self.bounces - 1 if indirect else 0
         dimensions = DIMENSIONS_CAMERA + DIMENSIONS_LIGHT + DIMENSIONS_BOUNCE * bounces
         designed = self.node_table is not None and count == self.nodes and not indirect
@@ -105,7 +107,7 @@ class FringeIntegrator(mi.SamplingIntegrator):
             if dr.hint(isinstance(sensor, LensSensor), mode="scalar"):
                 weight = mi.Spectrum(1.0)
                 ray = sensor.pixel_ray(
-                    column + offset.x, row + offset.y, mi.Point2f(u[0], u[1]), mi.Point2f(u[2], u[3])
+                    column + offset.x - border, row + offset.y - border, mi.Point2f(u[0], u[1]), mi.Point2f(u[2], u[3])
                 )
             else:
                 film = mi.Point2f((column + u[0]) / cols, (row + u[1]) / rows)
@@ -154,6 +156,18 @@ class FringeIntegrator(mi.SamplingIntegrator):
 
 def _channels(scene: mi.Scene) -> int:
     return max((e.n_patterns for e in scene.emitters() if isinstance(e, LensProjector)), default=1)
+
+
+def _border(sensor: mi.Sensor) -> int:
+    """Pixels around the picture that are rendered because their light is diffracted into it."""
+    return BORDER if isinstance(sensor, LensSensor) and sensor.diffraction else 0
+
+
+def _diffracted(channel: mi.Float, sensor: LensSensor, border: int) -> mi.Float:
+    """A channel with its border through the diffraction, and without its border."""
+    cols, rows = sensor.size
+    picture = sensor.diffract(np.array(channel).reshape(rows + 2 * border, cols + 2 * border))
+    return mi.Float(picture[border:-border, border:-border].ravel())
 
 
 def _direct(scene, si, ray, throughput, active, pupil):

@@ -1,5 +1,9 @@
 """A camera behind an ideal lens of finite aperture, with square pixels and diffraction.
 
+Any integrator may sample its rays, which are spread over the pixel and the Airy pattern around it. The pattern's skirt
+is wide: a few fixed rays cannot stand for it. An integrator that knows this sensor takes the rays of ``pixel_ray`` and
+passes the finished picture through ``diffract``.
+
 .. pluginparameters::
 
  * - to_world: transform
@@ -22,9 +26,12 @@
 """
 
 import numpy as np
+from scipy.fft import dctn, idctn
 
-from ..diffraction import pixel_response
+from ..diffraction import pixel_response, transfer_after_tent
 from ..renderer import dr, mi
+
+BORDER = 32  # pixels around a picture whose light reaches into it
 
 
 class LensSensor(mi.Sensor):
@@ -47,15 +54,16 @@ class LensSensor(mi.Sensor):
         self.origin = world_from_local @ mi.ScalarPoint3f(0, 0, 0)
         self.to_world = mi.AffineTransform4f(np.array(world_from_local.matrix, np.float32))
         self.response = None
-        if wavelength > 0 and na > 0:
-            marginal, conditional = pixel_response(self.focus / self.focal, na, wavelength)
+        self.diffraction = (self.focus / self.focal, na, wavelength) if wavelength > 0 and na > 0 else None
+        if self.diffraction is not None:
+            marginal, conditional = pixel_response(*self.diffraction)
             self.response = (mi.Float(marginal), mi.Float(conditional.ravel()), conditional.shape)
         self.m_needs_sample_3 = self.aperture > 0
 
     def displacement(self, u: mi.Float, v: mi.Float) -> tuple[mi.Float, mi.Float]:
         """Where in units of pixels the light of a pixel comes from, for a sample (u, v) of the unit square."""
         if self.response is None:
-            return u - 0.5, v - 0.5
+            return _box(u), _box(v)
         marginal, conditional, (rows, cols) = self.response
         x = _read(marginal, u, dr.width(marginal))
         at = u * (rows - 1)
@@ -69,22 +77,35 @@ class LensSensor(mi.Sensor):
         cols, rows = self.size
         at_x, at_y = sample2.x * cols, sample2.y * rows
         column, row = dr.floor(at_x), dr.floor(at_y)
-        within = mi.Point2f(at_x - column, at_y - row)
-        ray = self.pixel_ray(column + self.offset[0], row + self.offset[1], within, sample3)
+        du, dv = self.displacement(at_x - column, at_y - row)
+        ray = self._ray(column + self.offset[0] + du, row + self.offset[1] + dv, sample3)
         ray.time = time
         return ray, mi.Spectrum(1.0)
 
     def pixel_ray(self, column: mi.Float, row: mi.Float, within: mi.Point2f, sample: mi.Point2f) -> mi.Ray3f:
-        """A ray of the pixel (column, row) of the film, for samples of its response and of the pupil.
+        """A ray of the pixel (column, row) of the film, for samples of its area and of the pupil; its weight is 1.
 
-        The response has long tails, where one part in 10^5 of the film is a tenth of a pixel: an integrator that hands
-        over pixel and sample apart loses nothing to rounding.
+        Without diffraction the area is the pixel. With it, it is a tent two pixels wide: ``diffract`` does the rest.
         """
-        du, dv = self.displacement(within.x, within.y)
+        spread = _tent if self.diffraction else _box
+        return self._ray(column + spread(within.x), row + spread(within.y), sample)
+
+    def diffract(self, picture: np.ndarray) -> np.ndarray:
+        """Pixels and Airy pattern from a picture, (rows, cols) float32, that was taken with ``pixel_ray``.
+
+        Beyond its edges the picture goes on as its mirror image. The tent lets so little through of what is too fine
+        for the pixels that a transfer function can be applied to them: with the default path a sharp edge comes out
+        right to 0.8 % of its height.
+        """
+        if self.diffraction is None:
+            return picture
+        transfer = transfer_after_tent(picture.shape, *self.diffraction)
+        return idctn(dctn(picture, workers=2) * transfer, workers=2)
+
+    def _ray(self, x: mi.Float, y: mi.Float, sample: mi.Point2f) -> mi.Ray3f:
+        """A ray through the focused image of (x, y), in pixels of the film, from a sample of the pupil."""
         scale = -self.focus / self.focal
-        target = mi.Point3f(
-            (column + du - self.centre[0]) * scale, (row + dv - self.centre[1]) * scale, mi.Float(self.focus)
-        )
+        target = mi.Point3f((x - self.centre[0]) * scale, (y - self.centre[1]) * scale, mi.Float(self.focus))
         pupil = mi.warp.square_to_uniform_disk_concentric(sample) * self.aperture
         origin = mi.Point3f(pupil.x, pupil.y, 0)
         ray = mi.Ray3f()
@@ -110,6 +131,17 @@ class LensSensor(mi.Sensor):
 
     def to_string(self) -> str:
         return f"LensSensor[focal_length_px={self.focal}, focus={self.focus}, aperture={self.aperture}]"
+
+
+def _box(u: mi.Float) -> mi.Float:
+    """A uniform sample as a position in a pixel."""
+    return u - 0.5
+
+
+def _tent(u: mi.Float) -> mi.Float:
+    """A uniform sample as a position under a tent that falls to zero at -1 and 1."""
+    t = 2 * u - 1
+    return dr.copysign(1 - dr.sqrt(1 - dr.abs(t)), t)
 
 
 def _read(table: mi.Float, u: mi.Float, n: int, offset: mi.UInt32 | int = 0) -> mi.Float:

@@ -240,7 +240,8 @@ def _histogram(axes: Axes, filled: tuple[str, np.ndarray], outlined: tuple[str, 
         counts, _, _ = axes.hist(seen, bins=120, range=span, histtype=kind, color=colour, label=label)  # type: ignore
         most = max(most, float(np.max(counts)))
     # Tails are what matters; the room above keeps the legend off the curves.
-    axes.set(ylabel="pixels", xlim=(-1.5 * limit, 1.5 * limit), yscale="log", ylim=(0.8, 30 * most))
+    axes.set(ylabel="pixels", xlim=(-1.5 * limit, 1.5 * limit), ylim=(0.8, 30 * most))
+    axes.set_yscale("log")
     axes.grid(alpha=0.3)
     axes.legend(loc="upper left", fontsize="small")
 

@@ -1,0 +1,52 @@
+"""Claims about distances between spots, on a board that is seen by an ideal camera."""
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from greenough.pipeline.decode import PhaseMap
+from greenough.pipeline.spots import Spots
+from greenough.twin.validation.pitch import all_pairs, paper_pairs, spot_points
+
+
+def test_pairs_are_neighbours_each_once(analytic):
+    board = analytic().calibration.board
+    centres = board.centres()
+    for pairs, count in ((all_pairs(board), 9 * 10 + 8 * 11), (paper_pairs(board), 28 + 30)):
+        assert len({tuple(sorted(pair)) for pair in pairs.tolist()}) == len(pairs) == count
+        distances = np.linalg.norm(centres[pairs[:, 0]] - centres[pairs[:, 1]], axis=1)
+        np.testing.assert_allclose(distances, board.pitch_mm, rtol=1e-12)
+
+
+def test_the_papers_pairs_lie_in_the_middle(analytic):
+    board = analytic().calibration.board
+    used = board.centres()[np.unique(paper_pairs(board))]
+    assert len(used) == 35
+    np.testing.assert_allclose(used.mean(axis=0), 0, atol=1e-12)
+
+
+def test_spots_of_a_tilted_board_are_found_where_they_are(analytic):
+    """The calibration of the setup takes phases for heights, so the phase map is the board's height map."""
+    setup = analytic()
+    camera, world_to_camera = setup.calibration.camera, setup.calibration.camera_from_world
+    turn = Rotation.from_euler("xyz", [8, -11, 25], degrees=True)
+    flat = np.column_stack([setup.calibration.board.centres(), np.zeros(99)])
+    centres = turn.apply(flat) + np.array([0.05, 0.02, 0.1])
+    normal = turn.apply([0, 0, 1])
+    # Height of the board's plane on every pixel's ray from the pupil at 224.56 mm.
+    v, u = np.indices(camera.shape)
+    ray = np.stack([(u - camera.cx) / camera.fx, -(v - camera.cy) / camera.fy, -np.ones(u.shape)], axis=-1)
+    pupil = np.array([0, 0, 224.56])
+    z = pupil[2] - ((centres[0] - pupil) @ normal) / (ray @ normal)
+    nothing = np.zeros(z.shape)
+    phase_map = PhaseMap(z, nothing, nothing, np.ones(z.shape, bool), nothing, nothing)
+
+    pixels = camera.project(centres @ world_to_camera[:3, :3].T + world_to_camera[:3, 3])
+    axes = np.repeat(setup.calibration.board.diameters()[:, None] / 2 * 101, 2, axis=1)
+    sigma = np.full(99, 0.01)
+    pixels[7] = axes[7] = sigma[7] = np.nan
+    points = spot_points(setup, phase_map, Spots(pixels, axes, sigma))
+    assert np.isnan(points[7]).all()
+    inside = (np.abs(pixels - [639.5, 479.5]) < [610, 450]).all(axis=1)
+    assert inside.sum() > 80
+    # A plane's height is not quite linear in u and v: 0.08 mm spots at 225 mm bend it by far less than a nanometre.
+    np.testing.assert_allclose(points[inside], centres[inside], atol=1e-5)

@@ -100,7 +100,7 @@ def write_report(
     """
     template = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    ).from_string(files(__package__).joinpath("report.html").read_text(encoding="utf-8"))
+    ).from_string(files("greenough.twin.validation").joinpath("report.html").read_text(encoding="utf-8"))
     page = template.render(
         header=_header(setup, facts),
         claims=claims,

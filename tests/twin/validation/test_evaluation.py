@@ -31,7 +31,7 @@ def interior(shape: tuple[int, int], margin: int = 5) -> np.ndarray:
 def test_a_plane_is_smooth_wherever_the_disc_lies_in_the_picture(slope):
     rows, cols = 40, 50
     x, y = np.meshgrid(np.arange(cols) * PIXEL_MM, -np.arange(rows) * PIXEL_MM)
-    truth = truth_of(slope[0] * x + slope[1] * y, tuple(np.full((rows, cols), s) for s in slope))
+    truth = truth_of(slope[0] * x + slope[1] * y, (np.full(x.shape, slope[0]), np.full(x.shape, slope[1])))
     judged = smooth(truth, RADIUS_PX)
     assert judged[interior((rows, cols), 4)].all()
     assert not judged[:4].any()

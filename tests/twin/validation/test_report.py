@@ -34,7 +34,8 @@ def page(analytic, tmp_path):
 
     def written(claims=None, specimens=None, facts=None) -> str:
         setup = analytic()
-        noise = PlaneNoise(*np.random.default_rng(4).normal(0, 2e-3, (3, *SHAPE)), 2e-3, 1e-3)
+        raw, two, filtered = np.random.default_rng(4).normal(0, 2e-3, (3, *SHAPE))
+        noise = PlaneNoise(raw, two, filtered, 2e-3, 1e-3)
         rows = [setup.claim("depth", "plane", 3.0, "um", 1234, "95 %", limit=4.0, paper=4.0)]
         path = tmp_path / "report.html"
         write_report(

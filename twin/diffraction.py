@@ -61,17 +61,18 @@ def defocused_transfer(
     return ((1 - q) * weight * height * np.cos(phase)).sum(axis=1) / np.pi
 
 
-@lru_cache(maxsize=4)
-def transfer_after_tent(shape: tuple[int, ...], pixel: float, na: float, wavelength: float) -> np.ndarray:
-    """What turns a picture sampled under tents into one of square pixels behind a lens, (rows, cols) float32.
+@lru_cache(maxsize=8)
+def response_after_tent(shape: tuple[int, ...], pixel: float, na: float, wavelength: float) -> np.ndarray:
+    """What turns a picture sampled under a tent into one of square pixels behind a lens, (rows, cols) float32.
 
-    Entry (j, k) belongs to the frequencies j / (2 rows) and k / (2 cols) per pixel of the discrete cosine transform of
-    a picture of ``shape``. A tent is the box of a pixel of edge ``pixel`` twice over, so that Airy pattern over box is
-    left.
+    It is convolved with the picture, its middle at the first pixel and its ends wrapped round. The tent is the pixel's
+    box twice over, so that Airy pattern over box is left.
     """
-    fy, fx = (np.arange(n) / (2 * n) for n in shape)
+    fy, fx = (np.fft.fftfreq(n) for n in shape)
     box = np.sinc(fy)[:, None] * np.sinc(fx)
-    return (optical_transfer(np.hypot(fy[:, None], fx) / pixel, na, wavelength) / box).astype(np.float32)
+    return np.fft.ifft2(optical_transfer(np.hypot(fy[:, None], fx) / pixel, na, wavelength) / box).real.astype(
+        np.float32
+    )
 
 
 @lru_cache(maxsize=8)

@@ -21,6 +21,9 @@ in all channels. Glossy surfaces are met by sampling the emitters, so that mirro
 extent that rays can hit.
 """
 
+from concurrent.futures import ThreadPoolExecutor
+
+import cv2
 import numpy as np
 
 from ..quadrature import nodes
@@ -31,6 +34,7 @@ from .lens_sensor import BORDER, LensSensor
 DIMENSIONS_CAMERA = 4  # pixel, camera pupil
 DIMENSIONS_LIGHT = 2  # pupil of an emitter
 DIMENSIONS_BOUNCE = 3  # lobe and direction
+THREADS = 4  # that apply the diffraction, a channel each
 
 
 class FringeIntegrator(mi.SamplingIntegrator):
@@ -71,8 +75,7 @@ class FringeIntegrator(mi.SamplingIntegrator):
                 more = self._accumulate(scene, sensor, seed, nodes_indirect, indirect=True)
                 channels = [c + m for c, m in zip(channels, more, strict=True)]
                 dr.eval(channels)
-        border = _border(sensor)
-        return [_diffracted(c, sensor, border) for c in channels] if border else channels
+        return _diffracted(channels, sensor) if _border(sensor) else channels
 
     @dr.syntax
     def _accumulate(self, scene, sensor, seed, count, indirect):
@@ -163,11 +166,35 @@ def _border(sensor: mi.Sensor) -> int:
     return BORDER if isinstance(sensor, LensSensor) and sensor.diffraction else 0
 
 
-def _diffracted(channel: mi.Float, sensor: LensSensor, border: int) -> mi.Float:
-    """A channel with its border through the diffraction, and without its border."""
-    cols, rows = sensor.size
-    picture = sensor.diffract(np.array(channel).reshape(rows + 2 * border, cols + 2 * border))
-    return mi.Float(picture[border:-border, border:-border].ravel())
+def _diffracted(channels: list[mi.Float], sensor: LensSensor) -> list[mi.Float]:
+    """The channels with their border through the diffraction, and without their border.
+
+    Only the rectangle that light falls on, and as far around it as the border is wide, has anything to diffract.
+    """
+    border = _border(sensor)
+    shape = sensor.size[1] + 2 * border, sensor.size[0] + 2 * border
+    lit = np.array(sum(dr.abs(channel) for channel in channels)).reshape(shape) > 0
+    box = tuple(_stretch(lit.any(axis=1 - axis), border) for axis in (0, 1))
+
+    def one(channel: np.ndarray) -> np.ndarray:
+        picture = channel.reshape(shape)
+        if lit.any():
+            picture[box] = sensor.diffract(np.ascontiguousarray(picture[box]))
+        return picture[border:-border, border:-border].ravel()
+
+    with ThreadPoolExecutor(THREADS) as pool:
+        return [mi.Float(picture) for picture in pool.map(one, [np.array(channel) for channel in channels])]
+
+
+def _stretch(lit: np.ndarray, border: int) -> slice:
+    """Where ``lit`` (n,) is true and ``border`` around it, of a length that transforms fast if there is room."""
+    where = np.flatnonzero(lit)
+    if len(where) == 0:
+        return slice(0)
+    first, end = max(0, where[0] - border), min(len(lit), where[-1] + 1 + border)
+    length = min(len(lit), cv2.getOptimalDFTSize(int(end - first)))
+    first = min(first, len(lit) - length)
+    return slice(first, first + length)
 
 
 def _direct(scene, si, ray, throughput, active, pupil):

@@ -25,10 +25,12 @@ passes the finished picture through ``diffract``.
      diffracts like the lens it stands for).
 """
 
-import numpy as np
-from scipy.fft import dctn, idctn
+from functools import lru_cache
 
-from ..diffraction import pixel_response, transfer_after_tent
+import cv2
+import numpy as np
+
+from ..diffraction import pixel_response, response_after_tent
 from ..renderer import dr, mi
 
 BORDER = 32  # pixels around a picture whose light reaches into it
@@ -93,14 +95,14 @@ class LensSensor(mi.Sensor):
     def diffract(self, picture: np.ndarray) -> np.ndarray:
         """Pixels and Airy pattern from a picture, (rows, cols) float32, that was taken with ``pixel_ray``.
 
-        Beyond its edges the picture goes on as its mirror image. The tent lets so little through of what is too fine
-        for the pixels that a transfer function can be applied to them: with the default path a sharp edge comes out
-        right to 0.8 % of its height.
+        The picture is taken for periodic, so that it needs a border. The tent lets so little through of what is too
+        fine for the pixels that the transfer function can be applied to them.
         """
         if self.diffraction is None:
             return picture
-        transfer = transfer_after_tent(picture.shape, *self.diffraction)
-        return idctn(dctn(picture, workers=2) * transfer, workers=2)
+        spectrum = _spectrum(picture.shape, self.diffraction)
+        product = cv2.mulSpectrums(cv2.dft(picture), spectrum, 0)
+        return cv2.dft(product, flags=cv2.DFT_INVERSE | cv2.DFT_SCALE | cv2.DFT_REAL_OUTPUT)
 
     def _ray(self, x: mi.Float, y: mi.Float, sample: mi.Point2f) -> mi.Ray3f:
         """A ray through the focused image of (x, y), in pixels of the film, from a sample of the pupil."""
@@ -131,6 +133,11 @@ class LensSensor(mi.Sensor):
 
     def to_string(self) -> str:
         return f"LensSensor[focal_length_px={self.focal}, focus={self.focus}, aperture={self.aperture}]"
+
+
+@lru_cache(maxsize=8)
+def _spectrum(shape: tuple[int, ...], diffraction: tuple[float, float, float]) -> np.ndarray:
+    return cv2.dft(response_after_tent(shape, *diffraction))
 
 
 def _box(u: mi.Float) -> mi.Float:

@@ -229,6 +229,7 @@ def _figures(
     return {
         "method": "paper",
         "postures_used": len(camera.camera_from_board),
+        "spots_used": int(np.isfinite(camera.residuals_px).all(axis=-1).sum()),
         "postures_without_board": tuple(missing),
         "reprojection_rmse_u_px": float(rmse_u),
         "reprojection_rmse_v_px": float(rmse_v),

@@ -14,6 +14,7 @@ from greenough.instrument.verbs import JsonOption, RigArgument, RunOption, SetOp
 
 from . import acquisition
 from .calibration import Calibration
+from .compare import ALIGNMENTS
 from .compare import compare as compare_cloud
 from .decode_command import app as decode_app
 from .point_cloud import PointCloud, read_cloud, read_mesh, write_cloud
@@ -99,20 +100,29 @@ def compare(
     cloud: Annotated[Path, typer.Argument(metavar="CLOUD", help="Measured points: PLY.")],
     mesh: Annotated[Path, typer.Argument(metavar="MESH", help="What they should lie on: PLY, STL or OBJ, in mm.")],
     align: Annotated[
-        Literal["none", "rigid", "similarity"], typer.Option("--align", help="Motion of the points before comparing.")
-    ] = "none",
+        Literal["none", "rigid", "similarity"] | None,
+        typer.Option("--align", help="Motion of the points before comparing. [default: none, with all side by side]"),
+    ] = None,
     tolerance_um: Annotated[
         float | None,
         typer.Option("--tolerance-um", help="Exit with 1 if 95 % of the vertical errors do not stay within this."),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Compare measured points with a mesh: distance along the normal and vertical error."""
+    """Compare measured points with a mesh: distance along the normal and vertical error.
+
+    Without --align the points stay as they are, and all three alignments are shown beside each other as well.
+    """
     if tolerance_um is not None and not tolerance_um > 0:
         raise InputError(f"--tolerance-um is {tolerance_um:g}: it must be above 0.")
-    with progress(1, "comparing", quiet=as_json) as advance:
-        result = compare_cloud(read_cloud(cloud), read_mesh(mesh), align)
-        advance(1)
+    alignments = ALIGNMENTS if align is None else (align,)
+    points, surface = read_cloud(cloud), read_mesh(mesh)
+    results = []
+    with progress(len(alignments), "comparing", quiet=as_json) as advance:
+        for alignment in alignments:
+            results.append(compare_cloud(points, surface, alignment))
+            advance(1)
+    result = results[0]
     summary = {
         "cloud": cloud,
         "mesh": mesh,
@@ -121,6 +131,9 @@ def compare(
         "alignment": result.alignment,
         "rows": [asdict(row) for row in result.rows],
     }
+    if align is None:
+        beside = [{"alignment": each.alignment} | asdict(row) for each in results for row in each.rows]
+        summary["side_by_side"] = beside
     if tolerance_um is None:
         show(summary, as_json)
         return

@@ -81,6 +81,6 @@ def _calibration_claims(setup: Setup) -> Iterator[Claim]:
     for axis, paper, limit in zip("uv", (0.07206, 0.08591), REPROJECTION_LIMITS_PX, strict=True):
         yield setup.claim(
             f"reprojection_rmse_{axis}", "board", figures[f"reprojection_rmse_{axis}_px"], "px",
-            figures["postures_used"], "root mean square over all spots and postures, nominal board", paper=paper,
+            figures["spots_used"], "root mean square over all spots and postures, nominal board", paper=paper,
             limit=limit,
         )  # fmt: skip

@@ -91,6 +91,8 @@ def ball_claims(setup: Setup, measured: Measured) -> Iterator[Claim]:
         design = np.column_stack([np.ones_like(x), x, y, x * x + y * y])
         c, a, b, k = np.linalg.lstsq(design, near[:, 2], rcond=None)[0]
         errors.append(c - (a * a + b * b) / (4 * k) - apex[2])
+    if len(errors) < 2:
+        return
     error = np.array(errors)
     for name, value, criterion in (
         ("ball_apex_bias", np.mean(error), "mean error of the apex heights"),

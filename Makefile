@@ -7,7 +7,7 @@ demo: .venv/ready
 	$(BIN)/greenough demo
 
 test: .venv/ready
-	$(BIN)/pytest
+	$(BIN)/pytest -n 2 --dist loadfile
 
 lint: .venv/ready
 	$(BIN)/ruff check .

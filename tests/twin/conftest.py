@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.stats import t as student
+from scipy.stats import ttest_ind
 
 import greenough.twin as gt
 from greenough.twin.renderer import mi
@@ -68,6 +69,18 @@ def chance_of(ours: np.ndarray, theirs: np.ndarray, paths: int) -> float:
 @pytest.fixture(scope="session")
 def chance() -> Callable[[np.ndarray, np.ndarray, int], float]:
     return chance_of
+
+
+def chance_of_brightness(ours: np.ndarray, theirs: np.ndarray) -> float:
+    """Probability that the mean light of two equal pictures, (seeds, ...), differs as much as here: Welch's t-test."""
+    flat = [picture.reshape(len(picture), -1).mean(axis=1) for picture in (ours, theirs)]
+    _, probability = ttest_ind(*flat, equal_var=False)
+    return float(probability)
+
+
+@pytest.fixture(scope="session")
+def chance_brightness() -> Callable[[np.ndarray, np.ndarray], float]:
+    return chance_of_brightness
 
 
 class Scenery:

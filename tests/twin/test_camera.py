@@ -83,6 +83,17 @@ def test_pixels_differ_in_responsivity_by_the_prnu():
     assert_mean(seen, 1, 0.01**2, tests=2)
 
 
+def test_under_noise_frames_share_their_fixed_pattern_and_nothing_else():
+    """EMVA 1288: the covariance of two frames over the pixels is that of responsivity and dark signal."""
+    camera = sensor(CameraSettings())
+    first, second = electrons(frames(3000.0, 2, camera), camera)
+    covariance = np.mean((first - first.mean()) * (second - second.mean()))
+    fixed = (0.01 * 3000) ** 2 + 3.0**2
+    noise = 3000 + 10.0**2
+    spread = np.sqrt(((fixed + noise) ** 2 + fixed**2) / first.size)
+    assert abs(covariance - fixed) < norm.isf(FALSE_ALARM / 2) * spread
+
+
 def test_pixels_differ_in_the_dark_by_the_dsnu():
     camera = sensor(CameraSettings(shot_noise=False, read_noise_e=0, prnu=0, dsnu_e=3))
     for level in (0.0, 3000.0):  # an offset: the same at any light

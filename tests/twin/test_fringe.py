@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from greenough.twin.quadrature import nodes
 from greenough.twin.renderer import mi
 
 FALSE_ALARM = 1e-3
@@ -23,15 +24,18 @@ def test_direct_light_on_glossy_surfaces_is_mitsubas(scenery, chance, bsdf):
 
 
 @pytest.mark.parametrize("bsdf", [DIFFUSE, CONDUCTOR, PLASTIC], ids=["diffuse", "conductor", "plastic"])
-def test_interreflection_in_a_corner_is_mitsubas(scenery, chance, bsdf):
+def test_interreflection_in_a_corner_is_mitsubas(scenery, chance, chance_brightness, bsdf):
     corner = scenery.corner(bsdf)
     theirs = scenery.renders(
         scenery.perspective(), scenery.projector(0), scenery.path(2), corner, seeds=range(1000, 1032)
     )
-    ours = scenery.renders(scenery.perspective(), scenery.lens_projector(), scenery.fringe(2), corner)
-    assert chance(ours[..., :1], theirs, scenery.paths) > FALSE_ALARM
-    direct = scenery.renders(scenery.perspective(), scenery.lens_projector(), scenery.fringe(1), corner)
-    assert chance(direct[..., :1], theirs, scenery.paths) < FALSE_ALARM
+    ours = scenery.renders(scenery.perspective(), scenery.lens_projector(), scenery.fringe(2), corner)[..., :1]
+    assert chance(ours, theirs, scenery.paths) > FALSE_ALARM
+    assert chance_brightness(ours, theirs) > FALSE_ALARM
+    direct = scenery.renders(scenery.perspective(), scenery.lens_projector(), scenery.fringe(1), corner)[..., :1]
+    assert chance(direct, theirs, scenery.paths) < FALSE_ALARM
+    # Over the whole picture a tenth of the second bounce's light would be seen.
+    assert chance_brightness(0.9 * ours + 0.1 * direct, theirs) < FALSE_ALARM
 
 
 def test_further_bounces_are_mitsubas(scenery, chance):
@@ -87,6 +91,20 @@ def test_samples_per_pixel_override_the_nodes(scenery):
     )
     assert_array_equal(np.array(mi.render(few, spp=256)), np.array(mi.render(many)))
     assert (np.array(mi.render(few)) != np.array(mi.render(many))).any()
+
+
+def test_nodes_can_be_given_one_by_one(scenery):
+    parts = {"type": "scene", "sensor": scenery.lens_sensor(), "emitter": scenery.lens_projector()} | scenery.bodies()
+    fixed = scenery.fringe(shift_per_pixel=False, nodes=16)
+    own, table = (mi.load_dict(parts | {"integrator": fixed | more}) for more in ({}, {"node_table": table_of(16)}))
+    assert_array_equal(np.array(mi.render(own)), np.array(mi.render(table)))
+    middle = mi.load_dict(parts | {"integrator": fixed | {"node_table": mi.TensorXf(np.full((1, 6), 0.5))}})
+    assert (np.array(mi.render(middle)) != np.array(mi.render(own))).any()
+    assert_array_equal(np.array(mi.render(middle, spp=16)), np.array(mi.render(own)))
+
+
+def table_of(count: int) -> mi.TensorXf:
+    return mi.TensorXf(nodes(count, 6))
 
 
 def test_more_nodes_come_nearer_to_the_mean_of_shifted_ones(scenery):

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from greenough.twin.quadrature import nodes
+from greenough.twin.quadrature import designed_nodes, nodes
 
 
 @settings(deadline=None, max_examples=30)
@@ -52,3 +52,12 @@ def test_a_smooth_integrand_gets_far_less_error_than_from_random_points():
 def test_other_counts_are_refused(count):
     with pytest.raises(ValueError, match="power of two"):
         nodes(count, 2)
+
+
+def test_the_designed_nodes_are_sixteen_with_their_mirror_images():
+    u = designed_nodes()
+    assert u.shape == (16, 6)
+    assert u.dtype == np.float32
+    assert 0 <= u.min() < u.max() <= 1
+    for node in u:
+        assert np.abs(u - (1 - node)).max(axis=1).min() < 1e-6

@@ -75,7 +75,7 @@ def chance_of_brightness(ours: np.ndarray, theirs: np.ndarray) -> float:
     """Probability that the mean light of two equal pictures, (seeds, ...), differs as much as here: Welch's t-test."""
     flat = [picture.reshape(len(picture), -1).mean(axis=1) for picture in (ours, theirs)]
     _, probability = ttest_ind(*flat, equal_var=False)
-    return float(probability)
+    return float(np.asarray(probability))
 
 
 @pytest.fixture(scope="session")

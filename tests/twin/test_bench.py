@@ -218,6 +218,19 @@ def test_the_blank_face_is_parallel_to_the_printed_one_up_to_the_wedge(small):
         assert middle == pytest.approx(1e-3, abs=1e-4 + limit)
 
 
+@pytest.mark.parametrize("reading", [-1.4, 0.0, 0.3])
+def test_the_blank_face_is_as_high_as_its_rays_find_it(small, reading):
+    rig, bench = small()
+    rig.operator.place(Placement("board", face="blank"))
+    rig.stage.move_to_mm(reading)
+    truth = bench.truth()
+    met = truth.xyz_world[truth.lit_and_seen]
+    assert len(met) > 500
+    # Bow and wedge in facets of 0.65 mm: their sagitta is a hundredth of a micrometre, and so is float32's rounding.
+    assert_allclose(bench.blank_face_height(reading, met[:, :2]), met[:, 2], atol=4e-5)
+    assert np.ptp(met[:, 2]) > 1e-3  # there is something to find
+
+
 def test_a_tilted_posture_is_seen_tilted(small):
     rig, bench = small("twin.board.bow_sd_um=0")
     for posture in range(3):

@@ -1,6 +1,7 @@
 """Claims about the scene that is rendered. Comparisons by chance refuse equal pictures once in a thousand times."""
 
 from collections.abc import Sequence
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +11,13 @@ from numpy.testing import assert_allclose
 
 import greenough.twin as gt
 from greenough.instrument.contract import Placement
+from greenough.scenes.materials import MATERIALS
+from greenough.scenes.parts import Part
 from greenough.twin.diffraction import geometric_transfer, optical_transfer
 from greenough.twin.renderer import mi
 from greenough.twin.rig import fringe_patterns
-from greenough.twin.scene import axis_frame
+from greenough.twin.scene import axis_frame, specimen_dict
+from greenough.twin.settings import RenderSettings
 
 FALSE_ALARM = 1e-3
 CONVERGENCE = np.radians(12.0)
@@ -137,6 +141,24 @@ def test_spots_and_ink_differ_in_brightness_as_their_materials_do(small):
     assert (inside < -0.02).sum() > 50
     assert (inside > 0.02).sum() > 50
     assert picture[inside < -0.02].mean() / picture[inside > 0.02].mean() == pytest.approx(0.85 / 0.08, rel=0.01)
+
+
+@pytest.mark.parametrize("name", MATERIALS)
+def test_materials_reach_the_renderer_with_their_parameters(name):
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    part = Part(corners, np.array([[0, 1, 2]], np.int32), None, name)
+    bsdf = specimen_dict([part], RenderSettings())["part_0"].bsdf()
+    parameters = {key: value for key, value in mi.traverse(bsdf)}
+    stated = {field.name: getattr(MATERIALS[name], field.name) for field in fields(MATERIALS[name])}
+    reflectance = next(value for key, value in parameters.items() if key.endswith("reflectance.value"))
+    assert reflectance[0] == pytest.approx(stated["reflectance"])
+    if "alpha" in stated:
+        assert next(np.ravel(value)[0] for key, value in parameters.items() if "alpha" in key) == pytest.approx(
+            stated["alpha"]
+        )
+        assert "distribution = ggx" in str(bsdf).lower()
+    if "ior" in stated:  # against air, 1.00028
+        assert np.ravel(parameters["eta"])[0] == pytest.approx(stated["ior"], rel=1e-3)
 
 
 def test_diffuse_only_makes_every_material_lambertian(small):

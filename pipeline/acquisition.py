@@ -133,7 +133,8 @@ def measure(
         Of this rig.
     placement : Placement
     brackets : sequence of float
-        Exposures to take and merge, as multiples of the automatic one: for shiny parts.
+        Exposures to take and merge, as multiples of the automatic one: for shiny parts. Those beyond the camera's
+        limits are left out, with a warning.
     filter_fwhm_px : float, optional
         Width of a Gaussian on the phasors; nothing is filtered unless it is given.
 
@@ -158,11 +159,15 @@ def measure_phase(
     auto_exposure(rig)
     fringes = calibration.fringes
     patterns = fringes.patterns(*rig.projector.shape)
-    if tuple(brackets) == (1.0,):
+    low, high = rig.camera.exposure_limits_us
+    possible = tuple(ratio for ratio in brackets if low <= ratio * rig.camera.exposure_us <= high)
+    if len(possible) < len(brackets):
+        _log.warning("%s: only the brackets %s are within the camera's exposures", placement.part, possible)
+    if possible == (1.0,):
         frames = rig.capture(patterns)
         noise = rig.camera.noise
     else:
-        merged = capture_bracketed(rig, patterns, brackets)
+        merged = capture_bracketed(rig, patterns, possible)
         frames, noise = merged.frames, merged.variance_dn2
     if frames.run == calibration.run and frames.serials.min() < calibration.exposures:
         raise InputError(

@@ -24,7 +24,7 @@ class OpticsSettings(BaseModel):
     """Two ideal off-axis lens paths; all lengths are at the specimen."""
 
     model_config = _STRICT
-    na: Annotated[float, Field(gt=0, le=0.2)] = 0.015
+    na: Annotated[float, Field(gt=0, le=0.019)] = 0.015  # above, the mirrors' lattice itself would be projected
     wavelength_um: Annotated[float, Field(gt=0.2, lt=2)] = 0.525
     convergence_deg: Annotated[float, Field(gt=1, lt=60)] = 12.0
     pupil_distance_mm: Annotated[float, Field(gt=10, lt=2000)] = 224.56

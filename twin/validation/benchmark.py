@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from greenough.pipeline.fringes import FringeSet
 from greenough.pipeline.phase_height import fit_phase_height
 from greenough.pipeline.spots import detect_spots
 
+from ..plugins import FringeIntegrator
 from ..renderer import dr, mi
 from ..rig import open as open_twin
 from ..rig import scene_dict
@@ -72,7 +74,7 @@ def benchmark(rig_name: str, overrides: list[str], advance: Callable[[float], No
 
 
 def _render(scene: mi.Scene) -> None:
-    scene.integrator().render_channels(scene, scene.sensors()[0])
+    cast(FringeIntegrator, scene.integrator()).render_channels(scene, scene.sensors()[0])
     dr.sync_thread()
 
 

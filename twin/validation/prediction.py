@@ -84,7 +84,7 @@ def blur(phasor: np.ndarray, defocus: np.ndarray, subpixels: int, optics: Optics
         share = np.clip(1 - np.abs(level - layer), 0, None)
         disc = geometric_transfer(radius[passes], optics.na, layer * LAYER_MM)
         spectrum[passes] += fft2(phasor * share, workers=2)[passes] * lens[passes] * disc
-    return ifft2(spectrum, workers=2)
+    return np.asarray(ifft2(spectrum, workers=2))
 
 
 @dataclass(frozen=True)

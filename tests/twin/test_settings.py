@@ -60,7 +60,7 @@ def test_every_effect_can_be_switched_off_and_none_is_negative(effect):
 @pytest.mark.parametrize(
     ("override", "field", "allowed"),
     [
-        ("twin.optics.na=0.5", "optics.na", "0.2"),
+        ("twin.optics.na=0.5", "optics.na", "0.019"),
         ("twin.optics.na=0", "optics.na", "0"),
         ("twin.optics.wavelength_um=525", "optics.wavelength_um", "2"),
         ("twin.optics.camera_focal_px=1", "optics.camera_focal_px", "100"),

@@ -1,0 +1,1 @@
+"""Both lens paths in glass: prescriptions, tracing, as-built errors, and what they do to the image."""

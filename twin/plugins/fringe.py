@@ -34,7 +34,7 @@ from .lens_sensor import BORDER, LensSensor
 DIMENSIONS_CAMERA = 4  # pixel, camera pupil
 DIMENSIONS_LIGHT = 2  # pupil of an emitter
 DIMENSIONS_BOUNCE = 3  # lobe and direction
-THREADS = 4  # that apply the diffraction, a channel each
+FAST_MULTIPLE = 16  # of pixels: lengths with more factors of five take half as long again to transform
 
 
 class FringeIntegrator(mi.SamplingIntegrator):
@@ -70,12 +70,13 @@ class FringeIntegrator(mi.SamplingIntegrator):
         nodes_indirect = max(2, self.nodes_indirect * nodes_direct // self.nodes)
         with dr.suspend_grad():
             channels = self._accumulate(scene, sensor, seed, nodes_direct, indirect=False)
-            dr.eval(channels)
             if self.bounces > 1:
+                dr.eval(channels)
                 more = self._accumulate(scene, sensor, seed, nodes_indirect, indirect=True)
                 channels = [c + m for c, m in zip(channels, more, strict=True)]
-                dr.eval(channels)
-        return _diffracted(channels, sensor) if _border(sensor) else channels
+            lit = sum(dr.abs(channel) for channel in channels) > 0
+            dr.eval(channels, lit)
+        return _diffracted(channels, lit, sensor) if _border(sensor) else channels
 
     @dr.syntax
     def _accumulate(self, scene, sensor, seed, count, indirect):
@@ -166,33 +167,42 @@ def _border(sensor: mi.Sensor) -> int:
     return BORDER if isinstance(sensor, LensSensor) and sensor.diffraction else 0
 
 
-def _diffracted(channels: list[mi.Float], sensor: LensSensor) -> list[mi.Float]:
+def _diffracted(channels: list[mi.Float], lit: mi.Bool, sensor: LensSensor) -> list[mi.Float]:
     """The channels with their border through the diffraction, and without their border.
 
     Only the rectangle that light falls on, and as far around it as the border is wide, has anything to diffract.
     """
     border = _border(sensor)
-    shape = sensor.size[1] + 2 * border, sensor.size[0] + 2 * border
-    lit = np.array(sum(dr.abs(channel) for channel in channels)).reshape(shape) > 0
-    box = tuple(_stretch(lit.any(axis=1 - axis), border) for axis in (0, 1))
+    cols, rows = sensor.size
+    shape = rows + 2 * border, cols + 2 * border
+    pictures = [channel.numpy().reshape(shape) for channel in channels]  # views: nothing is copied on a CPU
+    where = lit.numpy().reshape(shape)
+    if not where.any():
+        return [dr.zeros(mi.Float, rows * cols) for _ in channels]
+    box = tuple(_stretch(where.any(axis=1 - axis), border) for axis in (0, 1))
+    # The part of the box that lies in the picture, as the picture and as the box count.
+    inside = tuple(
+        slice(max(0, s.start - border), min(n, s.stop - border)) for s, n in zip(box, (rows, cols), strict=True)
+    )
+    kept = tuple(slice(i.start + border - s.start, i.stop + border - s.start) for i, s in zip(inside, box, strict=True))
 
-    def one(channel: np.ndarray) -> np.ndarray:
-        picture = channel.reshape(shape)
-        if lit.any():
-            picture[box] = sensor.diffract(np.ascontiguousarray(picture[box]))
-        return picture[border:-border, border:-border].ravel()
+    def one(picture: np.ndarray) -> np.ndarray:
+        out = np.zeros((rows, cols), np.float32)
+        out[inside] = sensor.diffract(picture[box])[kept]
+        return out.ravel()
 
-    with ThreadPoolExecutor(THREADS) as pool:
-        return [mi.Float(picture) for picture in pool.map(one, [np.array(channel) for channel in channels])]
+    with ThreadPoolExecutor(dr.thread_count()) as pool:
+        return [mi.Float(picture) for picture in pool.map(one, pictures)]
 
 
 def _stretch(lit: np.ndarray, border: int) -> slice:
     """Where ``lit`` (n,) is true and ``border`` around it, of a length that transforms fast if there is room."""
     where = np.flatnonzero(lit)
-    if len(where) == 0:
-        return slice(0)
     first, end = max(0, where[0] - border), min(len(lit), where[-1] + 1 + border)
-    length = min(len(lit), cv2.getOptimalDFTSize(int(end - first)))
+    length = end - first
+    while length % FAST_MULTIPLE or cv2.getOptimalDFTSize(int(length)) != length:
+        length += 1
+    length = min(len(lit), length)
     first = min(first, len(lit) - length)
     return slice(first, first + length)
 

@@ -100,9 +100,9 @@ class LensSensor(mi.Sensor):
         """
         if self.diffraction is None:
             return picture
-        spectrum = _spectrum(picture.shape, self.diffraction)
-        product = cv2.mulSpectrums(cv2.dft(picture), spectrum, 0)
-        return cv2.dft(product, flags=cv2.DFT_INVERSE | cv2.DFT_SCALE | cv2.DFT_REAL_OUTPUT)
+        spectrum = cv2.dft(picture)
+        spectrum *= _transfer(picture.shape, self.diffraction)
+        return cv2.dft(spectrum, flags=cv2.DFT_INVERSE | cv2.DFT_SCALE | cv2.DFT_REAL_OUTPUT)
 
     def _ray(self, x: mi.Float, y: mi.Float, sample: mi.Point2f) -> mi.Ray3f:
         """A ray through the focused image of (x, y), in pixels of the film, from a sample of the pupil."""
@@ -136,8 +136,18 @@ class LensSensor(mi.Sensor):
 
 
 @lru_cache(maxsize=8)
-def _spectrum(shape: tuple[int, ...], diffraction: tuple[float, float, float]) -> np.ndarray:
-    return cv2.dft(response_after_tent(shape, *diffraction))
+def _transfer(shape: tuple[int, ...], diffraction: tuple[float, float, float]) -> np.ndarray:
+    """What every number of a spectrum that OpenCV has packed is multiplied by, (rows, cols) float32.
+
+    The response is even, so that its spectrum is real: imaginary parts take the factor of the real part before them.
+    Packed, they are every second number of a row, and of the columns of zero and of the highest frequency.
+    """
+    transfer = cv2.dft(response_after_tent(shape, *diffraction))
+    rows, cols = shape
+    transfer[:, 2::2] = transfer[:, 1 : cols - 1 : 2]
+    for column in (0, cols - 1) if cols % 2 == 0 else (0,):
+        transfer[2::2, column] = transfer[1 : rows - 1 : 2, column]
+    return transfer
 
 
 def _box(u: mi.Float) -> mi.Float:

@@ -96,8 +96,16 @@ def test_compare_reproduces_the_rows(finished, document, capsys, name):
 
 
 def test_the_same_seed_gives_the_same_claims_in_another_process(document, tmp_path, monkeypatch):
-    """One specimen suffices: what comes before it decides the exposures that it gets."""
+    """One specimen suffices: what comes before it decides the exposures that it gets.
+
+    The frames are the same to the bit (see test_rig); sums over them are not, because vectorised loops round
+    differently with the alignment of their memory.
+    """
     monkeypatch.setattr(demo, "SPECIMENS", SPECIMENS[:1])
     again = [asdict(claim) for claim in demo.demonstrate("twin", COARSE, tmp_path, lambda steps: None)]
     first = [row for row in document["claims"] if row["specimen"] not in SPECIMENS[1:]]
-    assert again == first
+    for row, row_again in zip(first, again, strict=True):
+        words = {key for key, value in row.items() if not isinstance(value, float)}
+        assert {key: row_again[key] for key in words} == {key: row[key] for key in words}
+        for key in row.keys() - words:
+            assert row_again[key] == pytest.approx(row[key], rel=1e-9), (row["claim"], key)

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from scipy.stats import qmc
 
-from ..renderer import dr, mi
+from ..renderer import dr
 from .paraxial import DESIGN_WAVELENGTH_UM, Pupil, paraxial
 from .placed import PlacedPath
-from .trace import Rays, image_point, rays_through, trace
+from .trace import Double, Rays, image_point, rays_through, trace
 
 DEGREE = 3
 VARIABLES = 4  # field x, y and stop x, y
@@ -89,8 +89,7 @@ def fit_aim(path: PlacedPath, outwards: bool) -> Aim:
     x, y, depth = half_field[0] * u[0], half_field[1] * u[1], DEPTH * u[4]
     radius, angle = np.sqrt((u[2] + 1) / 2), np.pi * u[3]
     disk = np.stack([radius * np.cos(angle), radius * np.sin(angle)])
-    real = dr.float64_array_t(mi.Float)
-    point = (real(x), real(y), real(depth)) if outwards else image_point(path, real(x), real(y))
+    point = (Double(x), Double(y), Double(depth)) if outwards else image_point(path, Double(x), Double(y))
     heads = _pupil_points(path, point, disk, outwards)
     dx, dy = np.array([disk[0], disk[1]]) * pupil.magnification * prescription.stop_radius
     if outwards:
@@ -112,8 +111,7 @@ def _pupil(path: PlacedPath, outwards: bool) -> Pupil:
 
 
 def _middle(path: PlacedPath, outwards: bool) -> tuple[Any, Any, Any]:
-    real = dr.float64_array_t(mi.Float)
-    return (real(0), real(0), real(0)) if outwards else image_point(path, real(0), real(0))
+    return (Double(0), Double(0), Double(0)) if outwards else image_point(path, Double(0), Double(0))
 
 
 def _pupil_points(path: PlacedPath, point: tuple[Any, Any, Any], disk: np.ndarray, outwards: bool) -> np.ndarray:
@@ -124,8 +122,8 @@ def _pupil_points(path: PlacedPath, point: tuple[Any, Any, Any], disk: np.ndarra
 
 
 def _exact(path: PlacedPath, point: tuple[Any, Any, Any], disk: np.ndarray, outwards: bool) -> Rays:
-    real, radius = type(point[0]), path.prescription.stop_radius
-    return aim_exactly(path, point, real(disk[0] * radius), real(disk[1] * radius), DESIGN_WAVELENGTH_UM, outwards)
+    radius = path.prescription.stop_radius
+    return aim_exactly(path, point, Double(disk[0] * radius), Double(disk[1] * radius), DESIGN_WAVELENGTH_UM, outwards)
 
 
 def _weights(path: PlacedPath, point: tuple[Any, Any, Any], disk: np.ndarray, outwards: bool) -> np.ndarray:

@@ -5,12 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..renderer import dr, mi
 from .aiming import aim_exactly
 from .paraxial import DESIGN_WAVELENGTH_UM
 from .placed import PathErrors, PlacedPath, place
 from .prescription import Prescription
-from .trace import image_point, trace
+from .trace import Double, image_point, trace
 
 
 @dataclass(frozen=True)
@@ -72,8 +71,9 @@ def assemble(
 
 def _central_ray(path: PlacedPath) -> tuple[np.ndarray, np.ndarray]:
     """Point and direction of the ray through the middles of image and stop, where it leaves the path."""
-    real = dr.float64_array_t(mi.Float)
-    start = aim_exactly(path, image_point(path, real(0), real(0)), real(0), real(0), DESIGN_WAVELENGTH_UM, False)
+    start = aim_exactly(
+        path, image_point(path, Double(0), Double(0)), Double(0), Double(0), DESIGN_WAVELENGTH_UM, False
+    )
     rays, _ = trace(path, start, DESIGN_WAVELENGTH_UM, outwards=False)
     values = np.array([np.array(value)[0] for value in rays])
     return values[:3], values[3:]

@@ -10,7 +10,7 @@ from matplotlib.lines import Line2D
 
 from greenough.instrument.files import atomic_path
 
-from ..renderer import dr, mi
+from ..renderer import dr
 from .aberrations import (
     astigmatic_foci,
     best_focus,
@@ -25,7 +25,7 @@ from .aberrations import (
 from .aiming import aim_exactly
 from .paraxial import DESIGN_WAVELENGTH_UM, paraxial
 from .placed import PlacedPath, PlacedSurface
-from .trace import image_point, land, trace
+from .trace import Double, image_point, land, trace
 
 STRETCH = 5  # across the axis, in the drawing of surfaces
 X_SHOWN = (-11.0, 8.5)
@@ -180,9 +180,8 @@ def _curves(axes: Axes, x: np.ndarray, curves: dict[str, np.ndarray], label: str
 
 def _drawn_rays(path: PlacedPath, field_x: float) -> list[tuple[np.ndarray, np.ndarray]]:
     """(z, x) of rays from the specimen's (field_x, 0, 0) through five points of the stop, surface by surface."""
-    real = dr.float64_array_t(mi.Float)
-    heights = real(np.linspace(-1, 1, 5) * path.prescription.stop_radius)
-    zero = dr.zeros(real, 5)
+    heights = Double(np.linspace(-1, 1, 5) * path.prescription.stop_radius)
+    zero = dr.zeros(Double, 5)
     rays = aim_exactly(path, (zero + field_x, zero, zero), heights, zero, DESIGN_WAVELENGTH_UM, outwards=True)
     z, x = [np.zeros(5)], [np.full(5, field_x)]
     for k in range(len(path.surfaces)):

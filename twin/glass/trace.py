@@ -8,9 +8,11 @@ surface's vertex first, and from there along the small sag; z is kept relative t
 from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
-from ..renderer import dr
+from ..renderer import dr, mi
 from .glasses import AIR, index
 from .placed import PlacedPath
+
+Double: Any = dr.float64_array_t(mi.Float)  # the arrays for analysis
 
 
 class Rays(NamedTuple):

@@ -70,11 +70,22 @@ def paraxial(prescription: Prescription, wavelength_um: float = DESIGN_WAVELENGT
 
 def marginal_heights(prescription: Prescription, wavelength_um: float = DESIGN_WAVELENGTH_UM) -> np.ndarray:
     """Height at each surface of the ray from the origin through the stop's edge, (n,): half the width of a pencil."""
-    heights = [
-        (_matrix(prescription, range(k), wavelength_um) @ _transfer(prescription.working_distance))[0, 1]
-        for k in range(len(prescription.surfaces))
-    ]
+    heights = np.array([matrix[0, 1] for matrix in _from_specimen(prescription, wavelength_um)])
     return np.abs(heights) * prescription.stop_radius / abs(heights[prescription.stop])
+
+
+def chief_heights(prescription: Prescription, wavelength_um: float = DESIGN_WAVELENGTH_UM) -> np.ndarray:
+    """Height at each surface, (n,), of the ray from height 1 on the specimen through the middle of the stop."""
+    matrices = _from_specimen(prescription, wavelength_um)
+    at_stop = matrices[prescription.stop]
+    slope = -at_stop[0, 0] / at_stop[0, 1]
+    return np.array([matrix[0, 0] + matrix[0, 1] * slope for matrix in matrices])
+
+
+def _from_specimen(prescription: Prescription, wavelength_um: float) -> list[np.ndarray]:
+    """For each surface what takes (height, slope) from z = 0 to its vertex, (2, 2)."""
+    start = _transfer(prescription.working_distance)
+    return [_matrix(prescription, range(k), wavelength_um) @ start for k in range(len(prescription.surfaces))]
 
 
 def _matrix(prescription: Prescription, surfaces: Iterable[int], wavelength_um: float) -> np.ndarray:

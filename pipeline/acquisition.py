@@ -1,9 +1,9 @@
 """The procedures: how a rig is calibrated and how it measures, against the contract alone (section 4 of the paper)."""
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import asdict, fields
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -11,12 +11,15 @@ import numpy as np
 from greenough.instrument.contract import BLANK, Frames, Placement, Rig
 from greenough.instrument.errors import InputError
 
-from .calibration import Calibration
-from .camera_calibration import MIN_POSTURES, CameraCalibration, calibrate_camera
+from .bundle_data import SpotPhases, check_spot_phases, measure_spot_phases
+from .bundle_method import calibrate_by_bundle
+from .calibration import Calibration, Method
+from .calibration_data import CalibrationData
+from .camera_calibration import MIN_POSTURES, calibrate_camera
 from .decode import PhaseMap, decode
 from .exposure import auto_exposure, capture_bracketed
 from .fringes import FringeSet
-from .phase_height import PhaseHeightFit, fit_phase_height
+from .paper_method import calibrate_by_paper
 from .phasor_filter import filter_phasors
 from .reconstruct import PointMap, reconstruct
 from .spot_grid import MIN_SPOTS
@@ -36,29 +39,46 @@ RIM_PX = 10
 the board: four to five Airy radii of 2.2 px. On an otherwise perfect instrument the outermost pixels of a measured
 plane are then up to 0.8 µm wrong; with 6 px it is 33 µm."""
 
-_VOLUME_MM = (4.0, 3.0)  # half of the paper's 8 x 6 mm
+
+METHODS: Mapping[Method, Callable[[CalibrationData], Calibration]] = {
+    "paper": calibrate_by_paper,
+    "bundle": calibrate_by_bundle,
+}
 
 
 def calibrate(
-    rig: Rig, out: str | Path, run: str = "default", advance: Callable[[float], None] = lambda steps: None
+    rig: Rig,
+    out: str | Path,
+    run: str = "default",
+    advance: Callable[[float], None] = lambda steps: None,
+    method: Method = "paper",
 ) -> Calibration:
-    """Calibrate a rig by the paper's method and write the calibration.
+    """Calibrate a rig by one method and write the calibration; see `calibrate_by_methods`."""
+    return calibrate_by_methods(rig, {method: out}, run, advance)[method]
+
+
+def calibrate_by_methods(
+    rig: Rig,
+    outs: Mapping[Method, str | Path],
+    run: str = "default",
+    advance: Callable[[float], None] = lambda steps: None,
+) -> dict[Method, Calibration]:
+    """Calibrate a rig by one method or several, all from the same exposures, and write the calibrations.
 
     The board is shown tilted in all postures but one, then flat, each with fringes, from whose background the spots
-    are found. It is then turned over, and the stage lifts its blank side through the planes. The flat posture gives the
-    world frame, the stage's readings give the heights, and the blank side in the flat posture's place is z = 0 of both.
-    The exposure is set once for each side, and again after a posture in which the board was not found.
+    are found. It is then turned over, and the stage lifts its blank side through the planes. The exposure is set once
+    for each side, and again after a posture in which the board was not found.
 
-    Every finished posture and plane is kept in ``OUT.partial``; when the run is interrupted, the same call with a rig
-    opened at ``exposures_done=Unfinished.beside(out).exposures`` goes on from there, to the same calibration. The
-    folder is removed when the calibration has been written.
+    Every finished posture and plane is kept in ``OUT.partial``, beside the first of ``outs``; when the run is
+    interrupted, the same call with a rig opened at ``exposures_done=Unfinished.beside(out).exposures`` goes on from
+    there, to the same calibrations. The folder is removed when they have been written.
 
     Parameters
     ----------
     rig : Rig
         Open, that is inside its context.
-    out : path
-        The calibration's file.
+    outs : mapping
+        The file of each method's calibration: "paper", "bundle" or both.
     run : str
         The run that the rig was opened for.
     advance : callable
@@ -68,20 +88,46 @@ def calibrate(
     ------
     InputError
         If ``OUT.partial`` belongs to another rig, settings or run, the planes lie outside the stage's limits, the flat
-        board or too many tilted ones were not found, or the postures are all parallel.
+        board or too many tilted ones were not found, the postures are all parallel, or a method lacks data.
     """
     heights = plane_heights(rig)
-    if Path(out).is_dir():
-        raise InputError(f"cannot write {out}: it is a folder; name a file.")
-    unfinished = Unfinished.beside(out)
+    for out in outs.values():
+        if Path(out).is_dir():
+            raise InputError(f"cannot write {out}: it is a folder; name a file.")
+    unfinished = Unfinished.beside(next(iter(outs.values())))
     unfinished.begin(rig, run)
-    acquire = _Acquirer(rig, unfinished, advance)
+    data = _acquire(rig, unfinished, heights, run, advance, "bundle" in outs)
+    planes = [f"plane-{name}" for name in (ZERO, *(f"{k:02d}" for k in range(len(heights))))]
+    with unfinished.repeated_on_refusal(planes):
+        calibrations: dict[Method, Calibration] = {method: METHODS[method](data) for method in outs}
+    for method, calibration in calibrations.items():
+        calibration.save(outs[method])
+    unfinished.remove()
+    return calibrations
 
-    spots = {name: acquire.posture(name, placement) for name, placement in _postures(rig)}
-    with unfinished.repeated_on_refusal(f"posture-{name}" for name, found in spots.items() if found is None):
-        _check_found(spots)
-    with unfinished.repeated_on_refusal(f"posture-{name}" for name in spots):
-        camera = _calibrate_camera(rig, spots)
+
+def _acquire(
+    rig: Rig,
+    unfinished: Unfinished,
+    heights: np.ndarray,
+    run: str,
+    advance: Callable[[float], None],
+    needs_spot_phases: bool,
+) -> CalibrationData:
+    """All postures and planes, done or kept from before."""
+    acquire = _Acquirer(rig, unfinished, advance)
+    postures = {name: acquire.posture(name, placement) for name, placement in _postures(rig)}
+    missing = tuple(name for name, found in postures.items() if found is None)
+    found = {name: seen for name, seen in postures.items() if seen is not None}
+    with unfinished.repeated_on_refusal(f"posture-{name}" for name in missing):
+        _check_found(postures.keys(), missing)
+    names = list(found)
+    with unfinished.repeated_on_refusal(f"posture-{name}" for name in postures):
+        spots = tuple(spots for spots, _ in found.values())
+        camera = calibrate_camera(spots, rig.board, rig.camera.shape, names.index(FLAT), names)
+        spot_phases = tuple(measured for _, measured in found.values())
+        if needs_spot_phases:
+            check_spot_phases(spot_phases)
 
     # The blank side first lies where the printed one lay, before the stage moves: this is z = 0 of both.
     phase_at_zero, _ = acquire.plane(ZERO, 0.0)
@@ -89,30 +135,20 @@ def calibrate(
     readings = np.empty(len(heights))
     for k, height in enumerate(heights):
         phases[k], readings[k] = acquire.plane(f"{k:02d}", height)
-    with unfinished.repeated_on_refusal(f"plane-{name}" for name in (ZERO, *(f"{k:02d}" for k in range(len(heights))))):
-        fit = fit_phase_height(phases, readings)
-        # Readings err, and their fit need not pass through the shared posture: heights are counted from there.
-        zero = fit.relation.height(phase_at_zero)
-        if not np.isfinite(zero).any():
-            raise InputError(
-                "the blank side at stage position 0 shares no pixel with the planes: lay it into the light."
-            )
-        fit = fit_phase_height(phases, readings - np.nanmean(zero))
-
-    calibration = Calibration(
-        camera=camera.camera,
-        camera_from_world=camera.camera_from_world,
-        phase_height=fit.relation,
+    return CalibrationData(
         identity=rig.identity,
         board=rig.board,
         procedure=rig.procedure,
         run=run,
         exposures=acquire.exposures,
-        figures=_figures(camera, fit, readings, [name for name, found in spots.items() if found is None]),
+        spots=spots,
+        spot_phases=spot_phases,
+        missing=missing,
+        camera=camera,
+        phase_at_zero=phase_at_zero,
+        phases=phases,
+        readings_mm=readings,
     )
-    calibration.save(out)
-    unfinished.remove()
-    return calibration
 
 
 def measure(
@@ -209,48 +245,12 @@ def _postures(rig: Rig) -> list[tuple[str, Placement]]:
     return [*tilted, (FLAT, Placement("board"))]
 
 
-def _check_found(spots: dict[str, Spots | None]) -> None:
-    missing = [name for name, found in spots.items() if found is None]
-    if spots[FLAT] is None or len(spots) - len(missing) < MIN_POSTURES:
+def _check_found(names: Collection[str], missing: Collection[str]) -> None:
+    if FLAT in missing or len(names) - len(missing) < MIN_POSTURES:
         raise InputError(
             f"the board was not found in posture {', '.join(missing)}: the flat one and at least {MIN_POSTURES} in all "
             "are needed; start again with the same command and lay it into the light, the other postures are kept."
         )
-
-
-def _calibrate_camera(rig: Rig, spots: dict[str, Spots | None]) -> CameraCalibration:
-    found = {name: seen for name, seen in spots.items() if seen is not None}
-    names = list(found)
-    return calibrate_camera(list(found.values()), rig.board, rig.camera.shape, names.index(FLAT), names)
-
-
-def _figures(
-    camera: CameraCalibration, fit: PhaseHeightFit, readings: np.ndarray, missing: Sequence[str]
-) -> dict[str, Any]:
-    """What the calibration says about itself."""
-    rmse_u, rmse_v = camera.reprojection_rmse_px
-    corners = np.array([[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in readings[[0, -1]]])
-    corners[:, :2] *= _VOLUME_MM
-    variances = np.linalg.eigvalsh(camera.projected_covariance(corners))
-    return {
-        "method": "paper",
-        "postures_used": len(camera.camera_from_board),
-        "spots_used": int(np.isfinite(camera.residuals_px).all(axis=-1).sum()),
-        "postures_without_board": tuple(missing),
-        "reprojection_rmse_u_px": float(rmse_u),
-        "reprojection_rmse_v_px": float(rmse_v),
-        "skew_angle_deg": camera.camera.skew_angle_deg,
-        "print_sd_um": 1e3 * float(camera.print_sd_mm),
-        "spot_noise_px": float(camera.noise_sd_px),
-        "projection_sd_in_volume_px": float(np.sqrt(variances.max())),
-        "planes": len(readings),
-        "z_low_mm": float(readings.min()),
-        "z_high_mm": float(readings.max()),
-        "calibrated_pixels": int(fit.relation.valid.sum()),
-        "phase_height_condition": fit.condition,
-        "phase_height_residual_um": float(np.nanmedian(fit.residual_um)),
-        "plane_residual_um": float(np.sqrt(np.mean(fit.plane_residual_um**2))),
-    }
 
 
 class _Acquirer:
@@ -267,8 +267,8 @@ class _Acquirer:
         self._blank_side_up = False
         self.exposures = 0
 
-    def posture(self, name: str, placement: Placement) -> Spots | None:
-        """Spots of the board in one posture; None where it was not found."""
+    def posture(self, name: str, placement: Placement) -> tuple[Spots, SpotPhases] | None:
+        """Spots of the board in one posture and the phases at them; None where it was not found."""
 
         def take() -> dict[str, np.ndarray]:
             self._rig.operator.place(placement)
@@ -283,11 +283,14 @@ class _Acquirer:
             except BoardNotFound as error:
                 _log.warning("posture %s: the board was not found (%s)", name, error)
                 return {}
-            return {key: getattr(spots, key) for key in ("centres_px", "axes_px", "sigma_px")}
+            return asdict(spots) | asdict(measure_spot_phases(phase_map, spots))
 
         arrays = self._once(f"posture-{name}", take)
         self._exposed = bool(arrays)
-        return Spots(**arrays) if arrays else None
+        if not arrays:
+            return None
+        found, measured = ({field.name: arrays[field.name] for field in fields(kind)} for kind in (Spots, SpotPhases))
+        return Spots(**found), SpotPhases(**measured)
 
     def plane(self, name: str, height: float) -> tuple[np.ndarray, float]:
         """Absolute phase (rows, cols) of the blank side at one height, NaN where invalid, and the stage's reading."""

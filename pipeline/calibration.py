@@ -4,8 +4,9 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
+import h5py
 import numpy as np
 
 from greenough.instrument import hdf5
@@ -14,10 +15,17 @@ from greenough.instrument.errors import InputError
 
 from .camera_model import CameraModel
 from .fringes import FringeSet
+from .imaging_path import ImagingPath
+from .instrument_model import InstrumentModel
+from .legendre_field import DepthField
 from .phase_height import PhaseHeight
+from .projector_model import ProjectorModel
+from .rays import Rays
 
 KIND = "greenough calibration"
-VERSION = 1
+VERSION = 2
+
+Method = Literal["paper", "bundle"]
 
 _PHASE_HEIGHT_UNITS = {
     "coefficients": "m1 mm, m0 mm, n1 1, r3 mm^-2",
@@ -26,6 +34,39 @@ _PHASE_HEIGHT_UNITS = {
     "z_range": "mm",
     "valid": "1",
 }
+_RAYS_UNITS = {"origin": "mm", "slope": "1"}
+_RESIDUALS_UNITS = {
+    "centres_px": "px",
+    "spots_px": "px",
+    "spot_phases_rad": "rad",
+    "planes_um": "um",
+    "pixels_um": "um",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """What a calibration's own data depart from it, measured minus fitted; NaN where nothing was measured.
+
+    Parameters
+    ----------
+    centres_px : (postures, spots, 2) float64
+        Where the spots' centres were found.
+    spots_px : (postures, spots, 2) float64
+        Of the spots' centres.
+    spot_phases_rad : (postures, spots) float64
+        Of the phases at the spots; all NaN for the paper's method, which does not use them.
+    planes_um : (planes, grid rows, grid cols) float32
+        Of the planes' heights, means over blocks of the picture.
+    pixels_um : (rows, cols) float32
+        Of the planes' heights, root mean square over the planes.
+    """
+
+    centres_px: np.ndarray
+    spots_px: np.ndarray
+    spot_phases_rad: np.ndarray
+    planes_um: np.ndarray
+    pixels_um: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -34,10 +75,17 @@ class Calibration:
 
     Parameters
     ----------
+    method : "paper" or "bundle"
+        The paper's takes the stage's readings for heights and fits a relation to every pixel; the bundle fits one
+        smooth model to everything and believes the board.
     camera : CameraModel
+        The pinhole with distortion. Points come from ``rays``, which hold the bundle's residual field, too.
     camera_from_world : (4, 4) float64
         The world frame is the board's as it lay flat: z = 0 through its printed face, z up.
+    rays : Rays
+        Where each pixel looks.
     phase_height : PhaseHeight
+        How high on its ray a pixel's phase is.
     identity : RigIdentity
         The instrument that was calibrated.
     board : SpotBoard
@@ -50,10 +98,15 @@ class Calibration:
         How many exposures of that run were taken.
     figures : mapping
         What the fits say about themselves, by name with the unit in the name.
+    residuals : Residuals
+    instrument : InstrumentModel or None
+        The bundle's global model with its parameters' covariance; the paper's method has none.
     """
 
+    method: Method
     camera: CameraModel
     camera_from_world: np.ndarray
+    rays: Rays
     phase_height: PhaseHeight
     identity: RigIdentity
     board: SpotBoard
@@ -61,6 +114,8 @@ class Calibration:
     run: str
     exposures: int
     figures: Mapping[str, Any]
+    residuals: Residuals
+    instrument: InstrumentModel | None = None
 
     @property
     def fringes(self) -> FringeSet:
@@ -95,6 +150,7 @@ class Calibration:
         The file appears whole or not at all.
         """
         document = {
+            "method": self.method,
             "camera": asdict(self.camera),
             "identity": asdict(self.identity),
             "board": asdict(self.board),
@@ -106,8 +162,11 @@ class Calibration:
         with hdf5.create(path, KIND, VERSION) as file:
             hdf5.put(file, "document", json.dumps(document), "UTF-8 JSON")
             hdf5.put(file, "camera_from_world", self.camera_from_world, "1, translation mm")
-            for name, units in _PHASE_HEIGHT_UNITS.items():
-                hdf5.put(file, f"phase_height/{name}", getattr(self.phase_height, name), units)
+            for group, units in _GROUPS.items():
+                for name, unit in units.items():
+                    hdf5.put(file, f"{group}/{name}", getattr(getattr(self, group), name), unit)
+            if self.instrument is not None:
+                _put_instrument(file, self.instrument)
 
     @classmethod
     def load(cls, path: str | Path) -> "Calibration":
@@ -120,19 +179,52 @@ class Calibration:
         """
         with hdf5.read(path, KIND, VERSION) as file:
             document = json.loads(hdf5.get_text(file, "document"), object_hook=_with_tuples)
+            camera, camera_from_world = CameraModel(**document["camera"]), hdf5.get(file, "camera_from_world")
+
+            def arrays(group: str) -> dict[str, np.ndarray]:
+                return {name: hdf5.get(file, f"{group}/{name}") for name in _GROUPS[group]}
+
             return cls(
-                camera=CameraModel(**document["camera"]),
-                camera_from_world=hdf5.get(file, "camera_from_world"),
-                phase_height=PhaseHeight(
-                    **{name: hdf5.get(file, f"phase_height/{name}") for name in _PHASE_HEIGHT_UNITS}
-                ),
+                method=document["method"],
+                camera=camera,
+                camera_from_world=camera_from_world,
+                rays=Rays(**arrays("rays")),
+                phase_height=PhaseHeight(**arrays("phase_height")),
                 identity=RigIdentity(**document["identity"]),
                 board=SpotBoard(**document["board"]),
                 procedure=Procedure(**document["procedure"]),
                 run=document["run"],
                 exposures=document["exposures"],
                 figures=document["figures"],
+                residuals=Residuals(**arrays("residuals")),
+                instrument=_get_instrument(file, camera, camera_from_world) if "instrument" in file else None,
             )
+
+
+_GROUPS = {"rays": _RAYS_UNITS, "phase_height": _PHASE_HEIGHT_UNITS, "residuals": _RESIDUALS_UNITS}
+
+
+def _put_instrument(file: h5py.File, instrument: InstrumentModel) -> None:
+    """The bundle's model; its camera and pose are the calibration's."""
+    camera, projector = instrument.camera, instrument.projector
+    fields = {"camera": asdict(camera.field), "projector": asdict(projector.field)}
+    hdf5.put(file, "instrument/fields", json.dumps(fields), "UTF-8 JSON")
+    hdf5.put(file, "instrument/camera_coefficients", camera.coefficients, "px")
+    hdf5.put(file, "instrument/projector_row", projector.row, "a0 rad, a rad/mm, b 1/mm")
+    hdf5.put(file, "instrument/projector_coefficients", projector.coefficients, "rad")
+    hdf5.put(file, "instrument/covariance", instrument.covariance, "pose rad mm, camera px, projector rad; squared")
+
+
+def _get_instrument(file: h5py.File, camera: CameraModel, camera_from_world: np.ndarray) -> InstrumentModel:
+    fields = json.loads(hdf5.get_text(file, "instrument/fields"), object_hook=_with_tuples)
+    coefficients = {path: hdf5.get(file, f"instrument/{path}_coefficients") for path in ("camera", "projector")}
+    return InstrumentModel(
+        ImagingPath(camera, camera_from_world, DepthField(**fields["camera"]), coefficients["camera"]),
+        ProjectorModel(
+            hdf5.get(file, "instrument/projector_row"), DepthField(**fields["projector"]), coefficients["projector"]
+        ),
+        hdf5.get(file, "instrument/covariance"),
+    )
 
 
 def _with_tuples(entries: dict[str, Any]) -> dict[str, Any]:

@@ -87,6 +87,11 @@ class CameraModel:
         lost = ~(moved <= _CONVERGED)
         return np.stack([np.where(lost, np.nan, x), np.where(lost, np.nan, y)], axis=-1)
 
+    def pixels_by_normalised(self, normalised: np.ndarray) -> np.ndarray:
+        """Derivatives (..., 2, 2) of :meth:`pixels` at undistorted normalised coordinates (..., 2)."""
+        a, b, c = self._distortion_jacobian(*np.moveaxis(np.asarray(normalised, dtype=float), -1, 0))
+        return self.camera_matrix[:2, :2] @ np.stack([np.stack([a, b], axis=-1), np.stack([b, c], axis=-1)], axis=-2)
+
     def project_circles(self, centres: np.ndarray, radii: np.ndarray, camera_from_board: np.ndarray) -> np.ndarray:
         """Pixels (..., n, 2) of the centres of the ellipses that circles on a plane appear as.
 

@@ -13,7 +13,7 @@ from greenough.instrument.progress import progress
 from greenough.instrument.verbs import JsonOption, RigArgument, RunOption, SetOption, show
 
 from . import acquisition
-from .calibration import Calibration
+from .calibration import Calibration, Method
 from .compare import ALIGNMENTS
 from .compare import compare as compare_cloud
 from .decode_command import app as decode_app
@@ -28,19 +28,26 @@ app.add_typer(decode_app)
 def calibrate(
     rig: RigArgument,
     out: Annotated[Path, typer.Option("--out", metavar="CAL.h5", help="The calibration to write.")],
+    method: Annotated[
+        Method,
+        typer.Option(
+            "--method", help="paper: trust the stage, fit every pixel; bundle: trust the board, fit one model."
+        ),
+    ] = "paper",
     run: RunOption = "calibrate",
     settings: SetOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Calibrate a rig: the board in its postures, then its blank side at every plane height.
 
-    An interrupted calibration goes on from the last finished posture or plane when the same command is given again.
+    Both methods compute from the same exposures. An interrupted calibration goes on from the last finished posture or
+    plane when the same command is given again.
     """
     exposures_done = Unfinished.beside(out).exposures
     with open_rig(rig, settings or (), run=run, exposures_done=exposures_done) as opened:
         steps = opened.procedure.postures + opened.procedure.planes + 1
         with progress(steps, "calibrating", quiet=as_json) as advance:
-            calibration = acquisition.calibrate(opened, out, run, advance)
+            calibration = acquisition.calibrate(opened, out, run, advance, method)
     show({"calibration": out, "rig": calibration.identity.name, "run": run, **calibration.figures}, as_json)
 
 
@@ -82,7 +89,7 @@ def measure(
         "sample": sample,
         "rig": loaded.identity.name,
         "run": run,
-        "calibration": loaded.figures.get("method", "unknown"),
+        "calibration": loaded.method,
         "calibration_run": loaded.run,
         "brackets": " ".join(f"{ratio:g}" for ratio in brackets),
         "filter": "none" if filter_fwhm_px is None else f"gaussian on phasors, fwhm {filter_fwhm_px:g} px",

@@ -33,6 +33,7 @@ varies by 2 %; a pixel that sees the board's side wall, which passes by as the s
 _BLOCK_PIXELS = 8192  # 30 planes of a block in float64 stay in the processor's cache
 _THREADS = 2
 _REFINEMENTS = 2
+_INVERSE_STEPS = 4  # r3 w³ is a few micrometres: each squares the error
 
 
 @dataclass(frozen=True)
@@ -80,6 +81,44 @@ class PhaseHeight:
         m1, m0, n1, r3 = np.moveaxis(self.coefficients.astype(np.float64), -1, 0)
         w = (m1 * t + m0) / (n1 * t + 1)
         return np.where(self.valid, w + r3 * w * w * w, np.nan)
+
+    def phase(self, z: np.ndarray) -> np.ndarray:
+        """Phase (rows, cols) in rad that belongs to heights z (rows, cols) in mm: the inverse of :meth:`height`."""
+        m1, m0, n1, r3 = np.moveaxis(self.coefficients.astype(np.float64), -1, 0)
+        w = np.asarray(z, dtype=np.float64)
+        for _ in range(_INVERSE_STEPS):
+            w = w - (w + r3 * w**3 - z) / (1 + 3 * r3 * w**2)
+        t = (w - m0) / (m1 - n1 * w)
+        return np.where(self.valid, self.phase_centre + self.phase_half_range.astype(np.float64) * t, np.nan)
+
+    def within(self, z_range: np.ndarray, valid: np.ndarray) -> "PhaseHeight":
+        """The same relation, known only within other heights.
+
+        The phase is normalised anew so that -1 to 1 are these heights; eq. 11 keeps its form.
+
+        Parameters
+        ----------
+        z_range : (rows, cols, 2)
+            Lowest and highest height in mm.
+        valid : (rows, cols) bool
+        """
+        valid = valid & self.valid
+        with np.errstate(all="ignore"):  # pixels that are not valid may be anything
+            ends = np.stack([self.phase(z_range[..., k]) for k in range(2)])
+            centre, half_range = (
+                (ends.sum(axis=0) / 2).astype(np.float32),
+                (np.ptp(ends, axis=0) / 2).astype(np.float32),
+            )
+            m1, m0, n1, r3 = np.moveaxis(self.coefficients.astype(np.float64), -1, 0)
+            scale = half_range.astype(np.float64) / self.phase_half_range
+            shift = (centre.astype(np.float64) - self.phase_centre) / self.phase_half_range
+            unit = 1 + n1 * shift
+            coefficients = np.stack([m1 * scale / unit, (m0 + m1 * shift) / unit, n1 * scale / unit, r3], axis=-1)
+
+        def kept(values: np.ndarray) -> np.ndarray:
+            return np.where(valid.reshape(valid.shape + (1,) * (values.ndim - 2)), values, np.nan).astype(np.float32)
+
+        return PhaseHeight(kept(coefficients), kept(centre), kept(half_range), kept(z_range), valid)
 
     def covers(self, phase: np.ndarray, margin_mm: float) -> np.ndarray:
         """Where a phase (rows, cols) lies in the pixel's calibrated range, or outside by a height of ``margin_mm``.

@@ -14,7 +14,7 @@ from scipy.special import expit
 
 from greenough.instrument.contract import CameraNoise, Frames, Placement, Procedure, RigIdentity, SpotBoard
 from greenough.instrument.errors import InputError
-from greenough.pipeline.acquisition import calibrate, measure, plane_heights
+from greenough.pipeline.acquisition import calibrate, calibrate_by_methods, measure, plane_heights
 from greenough.pipeline.calibration import Calibration
 from greenough.pipeline.unfinished import Unfinished
 
@@ -36,10 +36,20 @@ class PlainRig:
     """A profilometer of two pinholes 12° apart over a table that the stage lifts.
 
     ``dies_at`` is the capture of a whole fringe sequence during which the process is killed; ``hidden`` are postures
-    whose board lies outside the picture.
+    whose board lies outside the picture; ``stage_error`` gives the table's true height for a reading.
     """
 
-    def __init__(self, run="run", exposures_done=0, seed=1, dies_at=None, hidden=(), procedure=PROCEDURE, limit=1.6):
+    def __init__(
+        self,
+        run="run",
+        exposures_done=0,
+        seed=1,
+        dies_at=None,
+        hidden=(),
+        procedure=PROCEDURE,
+        limit=1.6,
+        stage_error=lambda reading: reading,
+    ):
         self.identity = RigIdentity("plain", "camera 1", "projector 1", f"{seed:064x}")
         self.board, self.procedure = BOARD, procedure
         self.camera = SimpleNamespace(
@@ -55,7 +65,7 @@ class PlainRig:
         self.operator = SimpleNamespace(place=self._place)
         self.placed: list[Placement] = []
         self._run, self._serial, self._seed, self._dies_at, self._hidden = run, exposures_done, seed, dies_at, hidden
-        self._sequences = 0
+        self._sequences, self._true_height = 0, stage_error
 
     def __enter__(self):
         return self
@@ -76,11 +86,11 @@ class PlainRig:
                 raise Killed
         serials = self._serial + np.arange(len(patterns))
         self._serial += len(patterns)
-        z, placement = self.stage.position_mm, self.placed[-1]
+        z, placement = self._true_height(self.stage.position_mm), self.placed[-1]
         exposure_us, hidden = self.camera.exposure_us, placement.posture in self._hidden
         lines = np.ascontiguousarray(patterns[:, 0]).tobytes()
         stack = photograph(placement, hidden, z, lines, exposure_us, self._seed, self._run, int(serials[0]))
-        return Frames(stack, 255.0, 4.0, exposure_us, 0.0, z, serials, serials * 0.01, self._run)
+        return Frames(stack, 255.0, 4.0, exposure_us, 0.0, self.stage.position_mm, serials, serials * 0.01, self._run)
 
 
 @lru_cache(maxsize=64)
@@ -172,6 +182,47 @@ def assert_same(one: Calibration, other: Calibration):
     assert one.exposures == other.exposures
     for name in ("coefficients", "phase_centre", "phase_half_range", "z_range", "valid"):
         np.testing.assert_array_equal(getattr(one.phase_height, name), getattr(other.phase_height, name))
+
+
+@pytest.fixture(scope="module")
+def both(tmp_path_factory):
+    """Calibrations by both methods from one acquisition on a bad stage, and the rig."""
+    folder = tmp_path_factory.mktemp("both")
+    with PlainRig(stage_error=bad_stage) as rig:
+        return calibrate_by_methods(
+            rig, {method: folder / f"{method}.h5" for method in ("bundle", "paper")}, "run"
+        ), rig
+
+
+def bad_stage(reading):
+    """True height (mm) of a stage whose scale is 5 per mille wrong and which errs by 10 µm from place to place."""
+    return 1.005 * reading + 0.01 * np.sin(17 * reading)
+
+
+def test_both_methods_come_from_one_acquisition(both):
+    calibrations, rig = both
+    assert len(rig.placed) == PROCEDURE.postures + 1
+    assert {method: calibration.method for method, calibration in calibrations.items()} == {
+        "bundle": "bundle",
+        "paper": "paper",
+    }
+    assert calibrations["paper"].exposures == calibrations["bundle"].exposures
+    assert np.array_equal(
+        calibrations["paper"].residuals.centres_px, calibrations["bundle"].residuals.centres_px, equal_nan=True
+    )
+
+
+def test_the_bundle_does_not_believe_the_stage(both):
+    """A step between two true heights: the paper's method repeats the stage's scale, the bundle has the board's."""
+    steps = {}
+    for method, calibration in both[0].items():
+        heights = []
+        for reading in (-1.0, 1.0):
+            with PlainRig(run=f"step {reading}", stage_error=lambda _, height=reading: height) as rig:
+                heights.append(np.nanmedian(measure(rig, calibration, Placement("plane")).xyz[120:240, 180:300, 2]))
+        steps[method] = heights[1] - heights[0]
+    assert abs(steps["paper"] - 2.0) > 5e-3
+    assert abs(steps["bundle"] - 2.0) < 1e-3
 
 
 def test_the_board_is_shown_as_the_paper_shows_it(undisturbed):

@@ -1,4 +1,4 @@
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import h5py
 import numpy as np
@@ -8,19 +8,34 @@ from hypothesis import strategies as st
 
 from greenough.instrument.contract import Procedure, RigIdentity, SpotBoard
 from greenough.instrument.errors import InputError
-from greenough.pipeline.calibration import Calibration
+from greenough.pipeline.calibration import Calibration, Residuals
 from greenough.pipeline.camera_model import CameraModel
+from greenough.pipeline.imaging_path import ImagingPath
+from greenough.pipeline.instrument_model import InstrumentModel
+from greenough.pipeline.legendre_field import DepthField
 from greenough.pipeline.phase_height import PhaseHeight
+from greenough.pipeline.projector_model import ProjectorModel
+from greenough.pipeline.rays import Rays
 
 IDENTITY = RigIdentity("bench 3", "camera 17", "projector 4", "ab" * 32)
 
 
-def some_calibration(rows=12, cols=16):
+def some_calibration(rows=12, cols=16, method="paper"):
     rng = np.random.default_rng(1)
     valid = rng.random((rows, cols)) < 0.9
+    camera = CameraModel(22683.0, 22690.0, -0.9, 633.0, 520.0, -0.09, 0.02, 1e-3, -2e-3, (rows, cols))
+    camera_from_world = np.vstack([np.hstack([np.diag([1.0, -1, -1]), [[0.1], [0.2], [224.0]]]), [0, 0, 0, 1]])
+    field = DepthField((0.01, -0.02), (0.03, 0.04), (1, 2), (0, 1), 1.5)
+    instrument = InstrumentModel(
+        ImagingPath(camera, camera_from_world, field, rng.normal(size=(2, 8))),
+        ProjectorModel(rng.normal(size=7), field, rng.normal(size=8)),
+        rng.normal(size=(30, 30)),
+    )
     return Calibration(
-        camera=CameraModel(22683.0, 22690.0, -0.9, 633.0, 520.0, -0.09, 0.02, 1e-3, -2e-3, (rows, cols)),
-        camera_from_world=np.vstack([np.hstack([np.diag([1.0, -1, -1]), [[0.1], [0.2], [224.0]]]), [0, 0, 0, 1]]),
+        method=method,
+        camera=camera,
+        camera_from_world=camera_from_world,
+        rays=Rays(*rng.normal(size=(2, rows, cols, 2)).astype(np.float32)),
         phase_height=PhaseHeight(
             coefficients=rng.normal(size=(rows, cols, 4)).astype(np.float32),
             phase_centre=rng.normal(size=(rows, cols)).astype(np.float32),
@@ -34,29 +49,66 @@ def some_calibration(rows=12, cols=16):
         run="monday",
         exposures=1104,
         figures={"reprojection_rmse_u_px": 0.07, "postures_without_board": (3,)},
+        residuals=Residuals(
+            centres_px=rng.normal(size=(7, 99, 2)),
+            spots_px=rng.normal(size=(7, 99, 2)),
+            spot_phases_rad=rng.normal(size=(7, 99)),
+            planes_um=rng.normal(size=(30, 3, 4)).astype(np.float32),
+            pixels_um=rng.normal(size=(rows, cols)).astype(np.float32),
+        ),
+        instrument=instrument if method == "bundle" else None,
     )
 
 
-def test_a_calibration_comes_back_whole(tmp_path):
-    calibration = some_calibration()
+def arrays(calibration, group):
+    """The arrays of one part of a calibration by name."""
+    part = getattr(calibration, group)
+    return {field.name: getattr(part, field.name) for field in fields(part)}
+
+
+@pytest.mark.parametrize("method", ["paper", "bundle"])
+def test_a_calibration_comes_back_whole(tmp_path, method):
+    calibration = some_calibration(method=method)
     calibration.save(tmp_path / "cal.h5")
     back = Calibration.load(tmp_path / "cal.h5")
-    for name in ("camera", "identity", "board", "procedure", "run", "exposures", "figures"):
+    for name in ("method", "camera", "identity", "board", "procedure", "run", "exposures", "figures"):
         assert getattr(back, name) == getattr(calibration, name)
     np.testing.assert_array_equal(back.camera_from_world, calibration.camera_from_world)
-    for name in ("coefficients", "phase_centre", "phase_half_range", "z_range", "valid"):
-        stored, original = getattr(back.phase_height, name), getattr(calibration.phase_height, name)
-        np.testing.assert_array_equal(stored, original)
-        assert stored.dtype == original.dtype
+    for group in ("rays", "phase_height", "residuals"):
+        for name, original in arrays(calibration, group).items():
+            stored = arrays(back, group)[name]
+            np.testing.assert_array_equal(stored, original)
+            assert stored.dtype == original.dtype
+
+
+def test_the_bundles_model_and_its_covariance_come_back(tmp_path):
+    instrument = some_calibration(method="bundle").instrument
+    some_calibration(method="bundle").save(tmp_path / "cal.h5")
+    back = Calibration.load(tmp_path / "cal.h5").instrument
+    xyz = np.random.default_rng(2).uniform(-2, 2, (50, 3))
+    np.testing.assert_array_equal(back.camera.project(xyz), instrument.camera.project(xyz))
+    np.testing.assert_array_equal(back.projector.phase(xyz), instrument.projector.phase(xyz))
+    np.testing.assert_array_equal(back.covariance, instrument.covariance)
+    assert Calibration.load(tmp_path / "cal.h5").camera == instrument.camera.camera
+
+
+def test_a_file_of_the_version_before_is_refused_in_one_sentence(tmp_path):
+    some_calibration().save(tmp_path / "old.h5")
+    with h5py.File(tmp_path / "old.h5", "r+") as file:
+        file.attrs["version"] = 1
+    with pytest.raises(
+        InputError, match=r"old\.h5 is a greenough calibration of version 1; this program reads version 2"
+    ):
+        Calibration.load(tmp_path / "old.h5")
 
 
 def test_every_array_in_the_file_states_its_unit(tmp_path):
-    some_calibration().save(tmp_path / "cal.h5")
-    arrays = []
+    some_calibration(method="bundle").save(tmp_path / "cal.h5")
+    found = []
     with h5py.File(tmp_path / "cal.h5") as file:
-        file.visititems(lambda name, item: arrays.append("units" in item.attrs) if hasattr(item, "shape") else None)
-    assert arrays
-    assert all(arrays)
+        file.visititems(lambda name, item: found.append("units" in item.attrs) if hasattr(item, "shape") else None)
+    assert len(found) > 15
+    assert all(found)
 
 
 def test_saving_leaves_nothing_else_in_the_folder(tmp_path):
@@ -112,7 +164,7 @@ def test_foreign_files_are_refused_by_what_they_are(tmp_path):
     some_calibration().save(tmp_path / "future.h5")
     with h5py.File(tmp_path / "future.h5", "r+") as file:
         file.attrs["version"] = 99
-    with pytest.raises(InputError, match="version 99; this program reads version 1"):
+    with pytest.raises(InputError, match="version 99; this program reads version 2"):
         Calibration.load(tmp_path / "future.h5")
 
 

@@ -8,10 +8,11 @@ import pytest
 from greenough.instrument.command import run
 from greenough.instrument.contract import Procedure, RigIdentity, SpotBoard
 from greenough.pipeline import commands
-from greenough.pipeline.calibration import Calibration
+from greenough.pipeline.calibration import Calibration, Residuals
 from greenough.pipeline.camera_model import CameraModel
 from greenough.pipeline.phase_height import PhaseHeight
 from greenough.pipeline.point_cloud import Mesh, PointCloud, read_cloud, write_cloud, write_mesh
+from greenough.pipeline.rays import Rays
 from greenough.pipeline.reconstruct import PointMap
 
 
@@ -116,16 +117,20 @@ def measured(tmp_path, monkeypatch):
         np.zeros((*shape, 2), np.float32),
         np.ones(shape, bool),
     )
+    nothing = np.full(shape, np.nan, np.float32)
     Calibration(
+        method="bundle",
         camera=CameraModel(100.0, 100.0, 0.0, 2.0, 1.5, 0.0, 0.0, 0.0, 0.0, shape),
         camera_from_world=np.eye(4),
+        rays=Rays(np.zeros((*shape, 2), np.float32), np.zeros((*shape, 2), np.float32)),
         phase_height=relation,
         identity=RigIdentity("bench", "1", "2", "0" * 64),
         board=SpotBoard(5, 7, 1.2, 0.8, 0.5, 8.0, ((2, 3), (2, 4), (1, 3))),
         procedure=Opened.procedure,
         run="calibrate",
         exposures=0,
-        figures={"method": "paper"},
+        figures={},
+        residuals=Residuals(nothing[None], nothing[None], nothing, nothing[None], nothing),
     ).save(tmp_path / "cal.h5")
     asked = {}
 
@@ -154,6 +159,7 @@ def test_measure_smooths_and_merges_nothing_unless_asked(measured):
     assert asked["brackets"] == (1.0,)
     assert asked["filter"] is None
     assert cloud.facts["filter"] == "none"
+    assert cloud.facts["calibration"] == "bundle"
 
 
 def test_measure_hands_over_what_was_asked_and_the_cloud_says_so(measured):

@@ -1,0 +1,128 @@
+"""What the bundle is fitted to, from phase maps: the phase at each spot, and block averages of the blank planes."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from greenough.instrument.errors import InputError
+
+from .decode import PhaseMap
+from .spots import Spots
+
+EDGE_PX = 3.0
+"""A spot's phase is taken no nearer to its rim than this: there blur mixes in the ink's light, which has another phase.
+The Airy radius is 2.2 px. What is left over is odd about the centre and does not move the phase there."""
+
+MIN_SPOT_PHASES = 50
+
+_MIN_PIXELS = 12  # of a spot's interior
+_MIN_SHARE = 0.8  # of these that must be valid
+_GRID_COLS = 40  # blocks across the picture: fields of degree 6 need few
+_MIN_FILL = 0.75  # of a block's pixels that must be valid
+
+
+@dataclass(frozen=True, eq=False)
+class SpotPhases:
+    """Phase at the spots of one picture, in the board's order; NaN where it could not be measured.
+
+    Parameters
+    ----------
+    phase_rad : (n,)
+        Absolute phase at the measured centre.
+    gradient_rad : (n, 2)
+        Its change per px along u and v on the board: it carries the phase from the measured centre to another place.
+    sigma_rad : (n,)
+        Standard deviation of ``phase_rad`` from the fit's own residual.
+    """
+
+    phase_rad: np.ndarray
+    gradient_rad: np.ndarray
+    sigma_rad: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class PlaneBlocks:
+    """One blank plane, averaged over blocks of pixels.
+
+    Parameters
+    ----------
+    pixels : (n, 2)
+        Mean (u, v) of each block's valid pixels.
+    phase_rad : (n,)
+        Their mean phase.
+    """
+
+    pixels: np.ndarray
+    phase_rad: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class BundleData:
+    """All observations: for each posture the spots and their phases, and the blank planes."""
+
+    spots: tuple[Spots, ...]
+    phases: tuple[SpotPhases, ...]
+    planes: tuple[PlaneBlocks, ...]
+
+
+def measure_spot_phases(phase_map: PhaseMap, spots: Spots) -> SpotPhases:
+    """Fit a plane to the phase within each spot.
+
+    The phase of single pixels has some 0.3 rad from one to the next and noise of 0.01 rad; a plane through the
+    interior of a spot gives the phase at its centre, free of what the rim's blur does to either side.
+    """
+    n = len(spots.seen)
+    phase, gradient, sigma = np.full(n, np.nan), np.full((n, 2), np.nan), np.full(n, np.nan)
+    rows, cols = phase_map.absolute.shape
+    for k in np.flatnonzero(spots.seen):
+        (u, v), reach = spots.centres_px[k], spots.axes_px[k].min() - EDGE_PX
+        left, right = max(0, int(np.ceil(u - reach))), min(cols, int(u + reach) + 1)
+        top, bottom = max(0, int(np.ceil(v - reach))), min(rows, int(v + reach) + 1)
+        dv, du = np.mgrid[top:bottom, left:right] - np.array([v, u]).reshape(2, 1, 1)
+        disc = du**2 + dv**2 <= reach**2
+        window = phase_map.absolute[top:bottom, left:right].astype(float)
+        inside = disc & phase_map.valid[top:bottom, left:right]
+        if inside.sum() < max(_MIN_PIXELS, _MIN_SHARE * disc.sum()):
+            continue
+        design = np.column_stack([np.ones(inside.sum()), du[inside], dv[inside]])
+        values = window[inside]
+        inverse = np.linalg.inv(design.T @ design)
+        fitted = inverse @ (design.T @ values)
+        variance = np.sum((values - design @ fitted) ** 2) / (len(values) - 3)
+        phase[k], gradient[k], sigma[k] = fitted[0], fitted[1:], np.sqrt(variance * inverse[0, 0])
+    return SpotPhases(phase, gradient, sigma)
+
+
+def check_spot_phases(phases: Sequence[SpotPhases]) -> None:
+    """Raise InputError unless enough phases were measured at spots to start the projector's model from."""
+    count = sum(int(np.isfinite(each.sigma_rad).sum()) for each in phases)
+    if count < MIN_SPOT_PHASES:
+        raise InputError(
+            f"the projector cannot be calibrated from {count} spots with a phase in {len(phases)} postures: at least "
+            f"{MIN_SPOT_PHASES} are needed; lay the board more into the projector's light"
+        )
+
+
+def block_averages(image: np.ndarray) -> PlaneBlocks:
+    """Averages over square blocks, 40 across the picture, of a map (rows, cols) that is NaN where invalid.
+
+    Blocks with less than three quarters of their pixels valid are left out. Where the phase bends across a block its
+    mean departs from the phase at the mean pixel by 1e-4 rad, alike everywhere.
+    """
+    valid = np.isfinite(image)
+    v, u = np.mgrid[: image.shape[0], : image.shape[1]]
+    u, v, phase = (block_map(np.where(valid, values, np.nan)) for values in (u, v, image))
+    enough = np.isfinite(phase)
+    return PlaneBlocks(np.stack([u[enough], v[enough]], axis=-1), phase[enough])
+
+
+def block_map(image: np.ndarray) -> np.ndarray:
+    """Means (grid rows, grid cols) over the blocks of `block_averages`, NaN where too few pixels are valid."""
+    side = max(1, image.shape[1] // _GRID_COLS)
+    rows, cols = (n // side for n in image.shape)
+    blocks = image[: rows * side, : cols * side].reshape(rows, side, cols, side).astype(float)
+    valid = np.isfinite(blocks)
+    count = valid.sum(axis=(1, 3))
+    mean = np.where(valid, blocks, 0.0).sum(axis=(1, 3)) / np.maximum(count, 1)
+    return np.where(count >= _MIN_FILL * side * side, mean, np.nan)

@@ -1,0 +1,114 @@
+"""The bundle's calibration: one smooth model of everything, the board's pitch and rigidity for a scale, no stage."""
+
+from typing import Any
+
+import numpy as np
+
+from greenough.instrument.errors import InputError
+
+from .bundle import Bundle, solve_bundle
+from .bundle_data import BundleData, PlaneBlocks, block_averages
+from .calibration import Calibration, Residuals
+from .calibration_data import CalibrationData
+from .phase_height import MIN_PLANES
+from .pixel_maps import model_maps, plane_residuals
+
+MIN_BLOCKS = 30
+"""Blocks of the picture, 40 across, in which each plane must have a phase."""
+
+
+def calibrate_by_bundle(data: CalibrationData) -> Calibration:
+    """Fit camera, projector, spots, postures and planes together, and turn the model into maps of every pixel.
+
+    z = 0 is the printed face in the flat posture as the spots' phases show it: the board need not be turned over
+    exactly. The blank side at stage position 0 is one more plane. Pixels are valid where, and as far as, planes were
+    seen; their relation is the model's, without any pattern of their own.
+
+    Raises
+    ------
+    InputError
+        If there are too few phases at spots or too few planes, or no pixel can be calibrated.
+    """
+    blocks = tuple(block_averages(phase) for phase in (data.phase_at_zero, *data.phases))
+    _check(blocks)
+    readings = np.concatenate([[0.0], data.readings_mm])
+    bundle = solve_bundle(BundleData(data.spots, data.spot_phases, blocks), data.camera, data.board, readings)
+
+    def surface(k: int, xy: np.ndarray) -> np.ndarray:
+        return bundle.plane_height(k + 1, xy)
+
+    heights = bundle.state.planes[1:, 0]
+    instrument = bundle.state.instrument
+    rays, everywhere = model_maps(instrument, float(heights.min()), float(heights.max()))
+    planes = plane_residuals(everywhere, rays, data.phases, surface)
+    relation = everywhere.within(planes.z_range, planes.count >= MIN_PLANES)
+    if not relation.valid.any():
+        raise InputError(
+            f"no pixel has a valid phase in {MIN_PLANES} or more of the {len(data.phases)} planes: check that the "
+            "board's blank side is lit by the projector and seen by the camera"
+        )
+    return Calibration(
+        method="bundle",
+        camera=instrument.camera.camera,
+        camera_from_world=instrument.camera.camera_from_world,
+        rays=rays,
+        phase_height=relation,
+        identity=data.identity,
+        board=data.board,
+        procedure=data.procedure,
+        run=data.run,
+        exposures=data.exposures,
+        figures=_figures(data, bundle, heights, int(relation.valid.sum()), planes.blocks_um),
+        residuals=Residuals(
+            centres_px=np.array([spots.centres_px for spots in data.spots]),
+            spots_px=bundle.residuals_px,
+            spot_phases_rad=bundle.residuals_rad,
+            planes_um=planes.blocks_um,
+            pixels_um=np.where(relation.valid, planes.pixels_um, np.nan),
+        ),
+        instrument=instrument,
+    )
+
+
+def _check(planes: tuple[PlaneBlocks, ...]) -> None:
+    for k, plane in enumerate(planes):
+        if len(plane.phase_rad) < MIN_BLOCKS:
+            which = "at stage position 0" if k == 0 else f"of plane {k - 1:02d}"
+            raise InputError(
+                f"the blank side {which} fills only {len(plane.phase_rad)} of the blocks to be averaged over, and "
+                f"{MIN_BLOCKS} are needed: lay it into the light"
+            )
+
+
+def _figures(
+    data: CalibrationData, bundle: Bundle, heights_mm: np.ndarray, pixels: int, planes_um: np.ndarray
+) -> dict[str, Any]:
+    """What the bundle says about itself."""
+    state = bundle.state
+    rmse_u, rmse_v = np.sqrt(np.nanmean(bundle.residuals_px**2, axis=(0, 1)))
+    ends = np.array([[0.0, 0.0, heights_mm.min()], [0.0, 0.0, heights_mm.max()]])
+    covariance = state.instrument.point_covariance(ends)
+    across = covariance[5, 5] + covariance[2, 2] - 2 * covariance[2, 5]
+    return {
+        "method": "bundle",
+        "postures_used": len(data.spots),
+        "spots_used": int(np.isfinite(bundle.residuals_px).all(axis=-1).sum()),
+        "spot_phases_used": int(np.isfinite(bundle.residuals_rad).sum()),
+        "outliers": int(bundle.outliers.sum()),
+        "postures_without_board": data.missing,
+        "reprojection_rmse_u_px": float(rmse_u),
+        "reprojection_rmse_v_px": float(rmse_v),
+        "skew_angle_deg": state.instrument.camera.camera.skew_angle_deg,
+        "print_sd_um": 1e3 * float(np.sqrt(np.mean(state.print_mm**2))),
+        "bow_um": 1e3 * float(np.ptp(bundle.board.bow_terms @ state.bow_mm)),
+        "spot_noise_px": float(bundle.noise[0]),
+        "spot_phase_noise_rad": float(bundle.noise[1]),
+        "block_noise_rad": float(bundle.noise[2]),
+        "depth_sd_um": 1e3 * float(np.sqrt(across)),  # of the distance between the outermost planes
+        "planes": len(heights_mm),
+        "z_low_mm": float(heights_mm.min()),
+        "z_high_mm": float(heights_mm.max()),
+        "calibrated_pixels": pixels,
+        "plane_residual_um": float(np.sqrt(np.nanmean(planes_um**2))),
+        "stage_departure_um": 1e3 * float(np.std(heights_mm - data.readings_mm)),
+    }

@@ -1,0 +1,53 @@
+"""What a rig was seen to do for its calibration: every method computes from the same."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from greenough.instrument.contract import Procedure, RigIdentity, SpotBoard
+
+from .bundle_data import SpotPhases
+from .camera_calibration import CameraCalibration
+from .spots import Spots
+
+
+@dataclass(frozen=True, eq=False)
+class CalibrationData:
+    """One acquisition, and the camera as the paper calibrates it.
+
+    Parameters
+    ----------
+    identity, board, procedure
+        Of the rig.
+    run : str
+        Name of the run whose exposures went in.
+    exposures : int
+        How many that run had taken at the end.
+    spots : tuple of Spots
+        One per posture in which the board was found.
+    spot_phases : tuple of SpotPhases
+        Of the same postures.
+    missing : tuple of str
+        Postures in which the board was not found.
+    camera : CameraCalibration
+        From the spots at their nominal places; its reference is the flat posture.
+    phase_at_zero : (rows, cols) float32
+        Absolute phase of the blank side where the flat board lay, rad, NaN where invalid.
+    phases : (planes, rows, cols) float32
+        The same at the planes.
+    readings_mm : (planes,)
+        The stage's.
+    """
+
+    identity: RigIdentity
+    board: SpotBoard
+    procedure: Procedure
+    run: str
+    exposures: int
+    spots: tuple[Spots, ...]
+    spot_phases: tuple[SpotPhases, ...]
+    missing: tuple[str, ...]
+    camera: CameraCalibration
+    phase_at_zero: np.ndarray
+    phases: np.ndarray
+    readings_mm: np.ndarray

@@ -1,0 +1,78 @@
+"""The paper's calibration: the board at its drawing's word, the stage at its readings, a relation for every pixel."""
+
+import numpy as np
+
+from greenough.instrument.errors import InputError
+
+from .calibration import Calibration, Residuals
+from .calibration_data import CalibrationData
+from .phase_height import fit_phase_height
+from .pixel_maps import plane_residuals
+from .rays import rays_of_camera
+
+_VOLUME_MM = (4.0, 3.0)  # half of the paper's 8 x 6 mm
+
+
+def calibrate_by_paper(data: CalibrationData) -> Calibration:
+    """Section 3 of the paper: eq. 20-22 for the camera, eq. 11-19 for every pixel.
+
+    The flat posture gives the world frame, the stage's readings give the heights, and the blank side in the flat
+    posture's place is z = 0 of both.
+
+    Raises
+    ------
+    InputError
+        If the planes do not determine the relation, or share no pixel with the blank side at stage position 0.
+    """
+    camera = data.camera
+    fit = fit_phase_height(data.phases, data.readings_mm)
+    # Readings err, and their fit need not pass through the shared posture: heights are counted from there.
+    zero = fit.relation.height(data.phase_at_zero)
+    if not np.isfinite(zero).any():
+        raise InputError("the blank side at stage position 0 shares no pixel with the planes: lay it into the light.")
+    heights = data.readings_mm - np.nanmean(zero)
+    fit = fit_phase_height(data.phases, heights)
+    rays = rays_of_camera(camera.camera, camera.camera_from_world)
+    planes = plane_residuals(fit.relation, rays, data.phases, lambda k, xy: np.full(len(xy), heights[k]))
+    rmse_u, rmse_v = camera.reprojection_rmse_px
+    corners = np.array([[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in data.readings_mm[[0, -1]]])
+    corners[:, :2] *= _VOLUME_MM
+    variances = np.linalg.eigvalsh(camera.projected_covariance(corners))
+    return Calibration(
+        method="paper",
+        camera=camera.camera,
+        camera_from_world=camera.camera_from_world,
+        rays=rays,
+        phase_height=fit.relation,
+        identity=data.identity,
+        board=data.board,
+        procedure=data.procedure,
+        run=data.run,
+        exposures=data.exposures,
+        figures={
+            "method": "paper",
+            "postures_used": len(data.spots),
+            "spots_used": int(np.isfinite(camera.residuals_px).all(axis=-1).sum()),
+            "postures_without_board": data.missing,
+            "reprojection_rmse_u_px": float(rmse_u),
+            "reprojection_rmse_v_px": float(rmse_v),
+            "skew_angle_deg": camera.camera.skew_angle_deg,
+            "print_sd_um": 1e3 * float(camera.print_sd_mm),
+            "spot_noise_px": float(camera.noise_sd_px),
+            "projection_sd_in_volume_px": float(np.sqrt(variances.max())),
+            "planes": len(data.readings_mm),
+            "z_low_mm": float(data.readings_mm.min()),
+            "z_high_mm": float(data.readings_mm.max()),
+            "calibrated_pixels": int(fit.relation.valid.sum()),
+            "phase_height_condition": fit.condition,
+            "phase_height_residual_um": float(np.nanmedian(fit.residual_um)),
+            "plane_residual_um": float(np.sqrt(np.mean(fit.plane_residual_um**2))),
+        },
+        residuals=Residuals(
+            centres_px=np.array([spots.centres_px for spots in data.spots]),
+            spots_px=camera.residuals_px,
+            spot_phases_rad=np.full(camera.residuals_px.shape[:2], np.nan),
+            planes_um=planes.blocks_um,
+            pixels_um=planes.pixels_um,
+        ),
+    )

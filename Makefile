@@ -2,12 +2,15 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test lint bench
+.PHONY: demo test test-full lint bench
 demo: .venv/ready
 	$(BIN)/greenough demo
 
 test: .venv/ready
 	$(BIN)/pytest -n 2 --dist loadfile
+
+test-full: .venv/ready
+	$(BIN)/pytest -m full
 
 lint: .venv/ready
 	$(BIN)/ruff check .

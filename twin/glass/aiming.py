@@ -137,7 +137,7 @@ def _weights(path: PlacedPath, point: tuple[Any, Any, Any], disk: np.ndarray, ou
     directions = [np.array([np.array(c) for c in _exact(path, point, side, outwards)[3:]]) for side in sides]
     solid_angle = np.cross(directions[0] - directions[1], directions[2] - directions[3], axis=0)
     # An element of the unit sphere is perpendicular to its direction: its area against the image is the projection.
-    return np.abs(path.image.normal @ solid_angle)
+    return np.abs(np.array(path.image.normal) @ solid_angle)
 
 
 def _monomials(*variables: Any) -> list[Any]:

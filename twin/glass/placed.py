@@ -1,10 +1,15 @@
 """Where the surfaces of one path really stand: what a prescription becomes once it is assembled."""
 
+import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 
 import numpy as np
+from pydantic import ConfigDict, TypeAdapter, ValidationError
 from scipy.spatial.transform import Rotation
+
+from greenough.instrument.errors import InputError
+from greenough.instrument.rigfile import describe_validation_error
 
 from .prescription import Prescription
 
@@ -18,6 +23,8 @@ class PathErrors:
 
     An element turns about the middle between its first and last vertex; the image about its centre.
     """
+
+    __pydantic_config__ = ConfigDict(extra="forbid")
 
     decentres: Mapping[str, Pair] = field(default_factory=dict)  # by element
     tilts: Mapping[str, Pair] = field(default_factory=dict)
@@ -45,8 +52,8 @@ class PlacedImage:
     along_y: Triple
 
     @property
-    def normal(self) -> np.ndarray:
-        return np.cross(self.along_x, self.along_y)
+    def normal(self) -> Triple:
+        return _triple(np.cross(self.along_x, self.along_y))
 
 
 @dataclass(frozen=True)
@@ -80,6 +87,29 @@ def place(prescription: Prescription, errors: PathErrors | None = None) -> Place
     turn = _turn(errors.image_tilt)
     image = PlacedImage((0.0, 0.0, float(vertices[-1])), _triple(turn[:, 0]), _triple(turn[:, 1]))
     return PlacedPath(prescription, surfaces, image)
+
+
+def errors_to_json(errors: PathErrors) -> str:
+    """``errors`` as text, exact to the last bit, for a property of a Mitsuba plugin."""
+    return json.dumps(asdict(errors))
+
+
+def errors_from_json(text: str, prescription: Prescription) -> PathErrors:
+    """The opposite of ``errors_to_json``.
+
+    Raises InputError for text of another form, and for elements that ``prescription`` does not have.
+    """
+    try:
+        errors = TypeAdapter(PathErrors).validate_json(text)
+    except ValidationError as error:
+        raise InputError(describe_validation_error(error, "errors of a lens path")) from None
+    unknown = sorted({*errors.decentres, *errors.tilts} - set(prescription.elements))
+    if unknown:
+        raise InputError(
+            f"errors of a lens path: prescription {prescription.name} has no element {unknown[0]!r}; "
+            f"it has {', '.join(map(repr, prescription.elements))}."
+        )
+    return errors
 
 
 def _turn(angles: Pair) -> np.ndarray:

@@ -10,9 +10,10 @@ from greenough.instrument.errors import InputError
 from .decode import PhaseMap
 from .spots import Spots
 
-EDGE_PX = 3.0
-"""A spot's phase is taken no nearer to its rim than this: there blur mixes in the ink's light, which has another phase.
-The Airy radius is 2.2 px. What is left over is odd about the centre and does not move the phase there."""
+INNER_SHARE = 0.65
+"""Of a spot's radius, within which its phase is taken: at the rim blur mixes in the ink's light, which has another
+phase. A small spot of 8.7 px keeps 3 px from its rim, more than the Airy radius of 2.2 px. What is left over is odd
+about the centre and does not move the phase there."""
 
 MIN_SPOT_PHASES = 50
 
@@ -76,7 +77,7 @@ def measure_spot_phases(phase_map: PhaseMap, spots: Spots) -> SpotPhases:
     phase, gradient, sigma = np.full(n, np.nan), np.full((n, 2), np.nan), np.full(n, np.nan)
     rows, cols = phase_map.absolute.shape
     for k in np.flatnonzero(spots.seen):
-        (u, v), reach = spots.centres_px[k], spots.axes_px[k].min() - EDGE_PX
+        (u, v), reach = spots.centres_px[k], INNER_SHARE * spots.axes_px[k].min()
         left, right = max(0, int(np.ceil(u - reach))), min(cols, int(u + reach) + 1)
         top, bottom = max(0, int(np.ceil(v - reach))), min(rows, int(v + reach) + 1)
         dv, du = np.mgrid[top:bottom, left:right] - np.array([v, u]).reshape(2, 1, 1)

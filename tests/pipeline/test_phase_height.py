@@ -156,3 +156,33 @@ def test_too_few_heights_are_refused():
 def test_planes_without_a_valid_pixel_are_refused():
     with pytest.raises(InputError, match="no pixel"):
         fit_phase_height(np.full((30, 4, 5), np.nan), HEIGHTS)
+
+
+def test_phase_is_the_inverse_of_height():
+    bent = HEIGHTS + 3e-4 * HEIGHTS**3
+    relation = fit_phase_height(planes(), bent).relation
+    z = np.random.default_rng(3).uniform(-1.5, 1.5, (12, 16))
+    np.testing.assert_allclose(relation.height(relation.phase(z)), z, atol=1e-9)
+
+
+def test_a_relation_within_other_heights_is_the_same_relation():
+    bent = HEIGHTS + 3e-4 * HEIGHTS**3
+    relation = fit_phase_height(planes(), bent).relation
+    rng = np.random.default_rng(4)
+    low, high = rng.uniform(-1.4, -0.5, (12, 16)), rng.uniform(0.2, 1.4, (12, 16))
+    valid = rng.random((12, 16)) < 0.8
+    part = relation.within(np.stack([low, high], axis=-1), valid)
+    phase = relation.phase(rng.uniform(-1.4, 1.4, (12, 16)))
+    np.testing.assert_allclose(part.height(phase)[valid], relation.height(phase)[valid], atol=1e-6)
+    assert np.isnan(part.height(phase)[~valid]).all()
+    for z, inside in ((low - 0.04, True), (low - 0.06, False), (high + 0.04, True), (high + 0.06, False)):
+        assert (part.covers(relation.phase(z), margin_mm=0.05)[valid] == inside).all()
+
+
+def test_a_pixel_that_was_not_valid_does_not_become_so():
+    phases = planes()
+    phases[MIN_PLANES - 1 :, 0, 0] = np.nan
+    relation = fit_phase_height(phases, HEIGHTS).relation
+    part = relation.within(np.broadcast_to([-1.0, 1.0], (12, 16, 2)), np.ones((12, 16), dtype=bool))
+    assert not part.valid[0, 0]
+    assert part.valid.sum() == part.valid.size - 1

@@ -1,0 +1,115 @@
+"""Both calibrations of one acquisition on a small twin, and where truth says their points lie."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+import greenough.twin
+from greenough.instrument.contract import Placement
+from greenough.pipeline.acquisition import calibrate_by_methods, plane_heights
+from greenough.pipeline.calibration import Calibration
+from greenough.pipeline.decode import decode
+from greenough.pipeline.exposure import auto_exposure
+from greenough.pipeline.reconstruct import reconstruct
+from greenough.twin.validation.mechanics import systematic_error
+
+# Pixels of 20 µm and spots larger in proportion; a stage of ±10 µm that spoils a step.
+SMALL = (
+    "camera.rows=480", "camera.cols=640", "twin.optics.camera_focal_px=11341.5", "twin.render.nodes=8",
+    "board.small_diameter_mm=0.25", "board.big_diameter_mm=0.45", "procedure.postures=12", "procedure.planes=10",
+    "procedure.plane_step_mm=0.3", "twin.render.bounces=1", "twin.stage.position_sd_um=10",
+    "twin.seed=2",
+)  # fmt: skip
+HEIGHTS = (-1.25, 1.25)
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A plane at two stage positions by one method."""
+
+    calibration: Calibration
+    error: np.ndarray  # (heights, rows, cols) vertical, mm
+    true: np.ndarray  # (heights,) mm
+    predicted: np.ndarray  # (heights,) mm, what the stage does to the paper's method
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory) -> dict[str, Measured]:
+    folder = tmp_path_factory.mktemp("methods")
+    rig, bench = greenough.twin.open("twin", SMALL, run="calibration")
+    with rig:
+        outs = {method: folder / f"{method}.h5" for method in ("paper", "bundle")}
+        calibrations = calibrate_by_methods(rig, outs, "calibration")
+    assert sorted(path.name for path in folder.iterdir()) == ["bundle.h5", "paper.h5"]
+    rig, bench = greenough.twin.open("twin", SMALL, run="measurement")
+    phases, motions = [], []
+    with rig:
+        rig.operator.place(Placement("plane"))
+        auto_exposure(rig)
+        fringes = calibrations["bundle"].fringes
+        for height in HEIGHTS:
+            rig.stage.move_to_mm(height)
+            phases.append(decode(rig.capture(fringes.patterns(*rig.projector.shape)), fringes, rig.camera.noise))
+            motions.append(bench.world_from_part)
+        readings = plane_heights(rig)
+    results = {}
+    for method in outs:
+        calibration = Calibration.load(outs[method])
+        errors = []
+        for phase_map, world_from_part in zip(phases, motions, strict=True):
+            normal, origin = world_from_part[:3, 2], world_from_part[:3, 3]
+            errors.append((reconstruct(phase_map, calibration).xyz - origin) @ normal / normal[2])
+        true = np.array([motion[2, 3] for motion in motions])
+        predicted = systematic_error(bench, readings, true).mean(axis=1)
+        results[method] = Measured(calibration, np.array(errors), true, predicted)
+    return results
+
+
+def step_error(measured: Measured) -> float:
+    low, high = np.nanmean(measured.error, axis=(1, 2))
+    return high - low
+
+
+def test_the_papers_method_repeats_what_the_stage_did(measured):
+    paper = measured["paper"]
+    predicted = paper.predicted[1] - paper.predicted[0]
+    assert abs(predicted) > 5e-3
+    assert step_error(paper) == pytest.approx(predicted, abs=1e-3)
+
+
+def test_the_bundle_knows_the_step_as_well_as_it_says_and_far_better_than_the_stage(measured):
+    """Four standard deviations: a false alarm in 16 000."""
+    bundle = measured["bundle"]
+    ends = np.array([[0.0, 0.0, height] for height in bundle.true])
+    covariance = bundle.calibration.instrument.point_covariance(ends)
+    sd = np.sqrt(covariance[5, 5] + covariance[2, 2] - 2 * covariance[2, 5])
+    assert sd < 0.8e-3
+    assert abs(step_error(bundle)) < 4 * sd
+    assert abs(step_error(bundle)) < 0.3 * abs(step_error(measured["paper"]))
+
+
+def test_the_bundle_finds_the_stages_errors(measured):
+    assert measured["bundle"].calibration.figures["stage_departure_um"] == pytest.approx(10, rel=0.7)
+    assert measured["bundle"].calibration.figures["plane_residual_um"] < 0.5
+    assert measured["paper"].calibration.figures["plane_residual_um"] > 5
+
+
+def test_both_measure_the_same_pixels(measured):
+    seen = [np.isfinite(result.error) for result in measured.values()]
+    assert seen[0].mean() > 0.3
+    assert (seen[0] & seen[1]).sum() > 0.97 * (seen[0] | seen[1]).sum()
+
+
+def test_reprojection_falls_to_the_spots_noise_when_their_places_are_estimated(measured):
+    rmse = {method: result.calibration.figures["reprojection_rmse_u_px"] for method, result in measured.items()}
+    assert rmse["bundle"] < 0.8 * rmse["paper"]
+
+
+def test_residuals_are_kept_for_every_posture_and_plane(measured):
+    for method, result in measured.items():
+        residuals = result.calibration.residuals
+        assert residuals.spots_px.shape == residuals.centres_px.shape == (12, 99, 2)
+        assert residuals.planes_um.shape == (10, 30, 40)
+        assert np.isfinite(residuals.spot_phases_rad).any() == (method == "bundle")
+        assert np.array_equal(np.isfinite(residuals.pixels_um), result.calibration.phase_height.valid)

@@ -20,6 +20,7 @@ _PARALLEL = 10.0  # tilts must differ by this many of their standard deviations 
 _K2_CORNER_PX = 0.1  # prior standard deviation of what k2 moves in the picture's corner
 _ROTATION_STEP, _SHIFT_STEP_MM = 1e-5, 1e-3  # of central differences
 _ITERATIONS = 50
+_LONGEST_FOCAL = 200.0  # in widths of the picture: a field of view of 0.3 degrees
 _K2 = INTRINSICS.index("k2")
 _LEAST_SD_PX = 1e-4  # keeps the weights finite where pictures are perfect
 
@@ -88,7 +89,7 @@ def calibrate_camera(
 ) -> CameraCalibration:
     """Bundle adjustment of the camera's nine intrinsic parameters and the board's poses, spots at nominal places.
 
-    OpenCV's ``calibrateCamera`` gives a start without skew and distortion. Then Levenberg-Marquardt on the distances
+    A closed form gives a start without skew and distortion. Then Levenberg-Marquardt on the distances
     between measured and projected *ellipse* centres (so eccentricity is part of the model), each weighted by its own
     variance plus a common one that the residuals show, which is mostly the print's. The field is too narrow to
     determine k2: it has a prior about zero with a standard deviation that moves the picture's corner by 0.1 px. In
@@ -203,21 +204,32 @@ def _check_tilts(centres: np.ndarray, seen: np.ndarray, nominal: np.ndarray, nam
 def _start(
     centres: np.ndarray, seen: np.ndarray, nominal: np.ndarray, shape: tuple[int, int]
 ) -> tuple[CameraModel, np.ndarray]:
-    """OpenCV's calibration as a pinhole with square pixels; distortion is a matter of some tenths of a pixel."""
-    flat = np.column_stack([nominal, np.zeros(len(nominal))]).astype(np.float32)
-    fixed = cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST
-    _, matrix, _, turns, shifts = cv2.calibrateCamera(
-        [flat[known] for known in seen],
-        [points[known].astype(np.float32) for points, known in zip(centres, seen, strict=True)],
-        (shape[1], shape[0]),
-        np.eye(3),
-        np.zeros(5),
-        flags=fixed | cv2.CALIB_FIX_PRINCIPAL_POINT,
+    """Zhang's closed form for a pinhole with square pixels and its principal point in the middle of the picture.
+
+    The columns h1, h2 of a homography from the board are images of directions that are orthogonal and equally long:
+    h1ᵀ ω h2 = 0 and h1ᵀ ω h1 = h2ᵀ ω h2 with ω = diag(1/f², 1/f², 1), two linear equations in 1/f² per posture.
+    """
+    middle = (np.array(shape[::-1]) - 1) / 2
+    homographies = np.array(
+        [
+            cv2.findHomography(nominal[known], points[known] - middle)[0]
+            for points, known in zip(centres, seen, strict=True)
+        ]
     )
+    homographies /= np.linalg.norm(homographies[:, :2, :1], axis=1, keepdims=True)
+    h1, h2 = homographies[:, :, 0], homographies[:, :, 1]
+    flat = np.concatenate([np.sum(h1[:, :2] * h2[:, :2], axis=1), np.sum(h1[:, :2] ** 2 - h2[:, :2] ** 2, axis=1)])
+    deep = np.concatenate([h1[:, 2] * h2[:, 2], h1[:, 2] ** 2 - h2[:, 2] ** 2])
+    focal = np.sqrt(max(-(flat @ flat) / (flat @ deep), 0.0))
+    focal = float(np.clip(focal, 0.5 * max(shape), _LONGEST_FOCAL * max(shape)))
+    camera = CameraModel(focal, focal, 0.0, middle[0], middle[1], 0.0, 0.0, 0.0, 0.0, shape)
+
     poses = np.tile(np.eye(4), (len(seen), 1, 1))
-    poses[:, :3, :3] = [cv2.Rodrigues(turn)[0] for turn in turns]
-    poses[:, :3, 3] = np.array(shifts)[..., 0]
-    camera = CameraModel(matrix[0, 0], matrix[1, 1], 0.0, matrix[0, 2], matrix[1, 2], 0.0, 0.0, 0.0, 0.0, shape)
+    for pose, homography in zip(poses, homographies, strict=True):
+        columns = homography / [[focal], [focal], [1.0]]
+        columns /= np.sqrt(np.linalg.norm(columns[:, 0]) * np.linalg.norm(columns[:, 1])) * np.sign(columns[2, 2])
+        u, _, vt = np.linalg.svd(np.column_stack([columns[:, :2], np.cross(columns[:, 0], columns[:, 1])]))
+        pose[:3, :3], pose[:3, 3] = u @ vt, columns[:, 2]
     return camera, poses
 
 

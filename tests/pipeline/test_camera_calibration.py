@@ -120,6 +120,12 @@ def test_the_world_is_the_board_of_the_reference_posture(draw):
     assert calibration.camera_from_world[2, 2] < -0.9  # z up, towards the camera that looks down
 
 
+def test_the_same_spots_give_the_same_bits(draw):
+    first, second = (draw(5, print_sd_mm=0.6e-3, noise_px=0.007).calibration for _ in range(2))
+    assert first.camera == second.camera
+    assert np.array_equal(first.covariance, second.covariance)
+
+
 def test_calibration_takes_less_than_five_seconds(draw):
     start = time.process_time()
     draw(6, print_sd_mm=0.6e-3, noise_px=0.007)

@@ -62,12 +62,19 @@ def square_pixels(patterns: np.ndarray) -> PatternTable:
     return PatternTable(values, np.ones(1, np.float32), (0.0, 0.0), (1, 1), False)
 
 
-def band_limited(patterns: np.ndarray, mirrors: Mirrors, na: float, wavelength: float) -> PatternTable:
-    """Table of ``patterns``, (N, rows, cols) uint8, through mirrors of diamond shape and a lens of aperture ``na``."""
+def band_limited(
+    patterns: np.ndarray, mirrors: Mirrors, na: float, wavelength: float, shift: np.ndarray | None = None
+) -> PatternTable:
+    """Table of ``patterns``, (N, rows, cols) uint8, through mirrors of diamond shape and a lens of aperture ``na``.
+
+    At a place the table shows what lies ``shift``, (N, 2) columns and rows, further on in each pattern. Patterns that
+    do not vary along the rows share one profile across them, which is not shifted.
+    """
     light = mirrors.off_state + (1 - mirrors.off_state) * patterns.astype(np.float32) / 255
+    shift = np.zeros((len(patterns), 2)) if shift is None else shift
     if (patterns == patterns[:, :1]).all():
-        return _column_table(light[:, 0], patterns.shape[1], mirrors, na, wavelength)
-    return _image_table(light, mirrors, na, wavelength)
+        return _column_table(light[:, 0], patterns.shape[1], mirrors, na, wavelength, shift[:, 0])
+    return _image_table(light, mirrors, na, wavelength, shift)
 
 
 def _transfer(fx: np.ndarray, fy: np.ndarray, mirrors: Mirrors, na: float, wavelength: float) -> np.ndarray:
@@ -78,30 +85,38 @@ def _transfer(fx: np.ndarray, fy: np.ndarray, mirrors: Mirrors, na: float, wavel
     return shape * optical_transfer(np.hypot(fx, fy), na, wavelength)
 
 
-def _column_table(light: np.ndarray, rows: int, mirrors: Mirrors, na: float, wavelength: float) -> PatternTable:
+def _column_table(
+    light: np.ndarray, rows: int, mirrors: Mirrors, na: float, wavelength: float, shift: np.ndarray
+) -> PatternTable:
     n, cols = light.shape
     # Half of the mirrors of a column stand in even rows, half in odd rows, half a column further on.
     lattice = np.zeros((n, (cols + 2 * MARGIN) * COLUMN_CELLS), np.float32)
     first = MARGIN * COLUMN_CELLS
-    for shift in (0, COLUMN_CELLS // 2):
-        lattice[:, first + shift : first + shift + cols * COLUMN_CELLS : COLUMN_CELLS] += light * (COLUMN_CELLS / 2)
-    values = _filtered(lattice, mirrors.column_pitch / COLUMN_CELLS, axis="column", optics=(mirrors, na, wavelength))
+    for stagger in (0, COLUMN_CELLS // 2):
+        place = first + stagger
+        lattice[:, place : place + cols * COLUMN_CELLS : COLUMN_CELLS] += light * (COLUMN_CELLS / 2)
+    optics = (mirrors, na, wavelength)
+    step = mirrors.column_pitch / COLUMN_CELLS
+    values = _filtered(lattice, step, "column", optics, mirrors.column_pitch * shift)
     comb = np.zeros((1, (rows + 2 * MARGIN) * COLUMN_CELLS), np.float32)
     comb[0, first : first + rows * COLUMN_CELLS : COLUMN_CELLS] = COLUMN_CELLS
-    profile = _filtered(comb, mirrors.row_pitch / COLUMN_CELLS, axis="row", optics=(mirrors, na, wavelength))
+    profile = _filtered(comb, mirrors.row_pitch / COLUMN_CELLS, "row", optics, np.zeros(1))
     table = np.ascontiguousarray(values.T)[None]
     return PatternTable(table, profile[0], (-float(MARGIN), -float(MARGIN)), (COLUMN_CELLS, COLUMN_CELLS), True)
 
 
-def _filtered(samples: np.ndarray, step: float, axis: str, optics: tuple[Mirrors, float, float]) -> np.ndarray:
-    """Rows of ``samples``, (N, cells) at ``step`` mm, through the transfer function along one axis."""
+def _filtered(
+    samples: np.ndarray, step: float, axis: str, optics: tuple[Mirrors, float, float], shift: np.ndarray
+) -> np.ndarray:
+    """Rows of ``samples``, (N, cells) at ``step`` mm, through the transfer along one axis and back by ``shift`` mm."""
     frequency = np.fft.rfftfreq(samples.shape[1], step)
     zero = np.zeros_like(frequency)
     transfer = _transfer(frequency, zero, *optics) if axis == "column" else _transfer(zero, frequency, *optics)
-    return np.fft.irfft(np.fft.rfft(samples, axis=1) * transfer, samples.shape[1], axis=1).astype(np.float32)
+    spectrum = np.fft.rfft(samples, axis=1) * transfer * np.exp(2j * np.pi * np.outer(shift, frequency))
+    return np.fft.irfft(spectrum, samples.shape[1], axis=1).astype(np.float32)
 
 
-def _image_table(light: np.ndarray, mirrors: Mirrors, na: float, wavelength: float) -> PatternTable:
+def _image_table(light: np.ndarray, mirrors: Mirrors, na: float, wavelength: float, shift: np.ndarray) -> PatternTable:
     n, rows, cols = light.shape
     across, down = IMAGE_CELLS
     shape = ((rows + 2 * MARGIN) * down, (cols + 2 * MARGIN) * across)
@@ -118,5 +133,6 @@ def _image_table(light: np.ndarray, mirrors: Mirrors, na: float, wavelength: flo
             lattice[row : top + rows * down : 2 * down, column : column + cols * across : across] = light[
                 k, parity::2
             ] * (across * down)
-        values[..., k] = np.fft.irfft2(np.fft.rfft2(lattice) * transfer, shape)
+        ahead = np.exp(2j * np.pi * (fx * mirrors.column_pitch * shift[k, 0] + fy * mirrors.row_pitch * shift[k, 1]))
+        values[..., k] = np.fft.irfft2(np.fft.rfft2(lattice) * transfer * ahead, shape)
     return PatternTable(values, np.ones(1, np.float32), (-float(MARGIN), -float(MARGIN)), IMAGE_CELLS, True)

@@ -1,4 +1,4 @@
-"""The two roots of chance: the instrument as it was built, and the noise of each exposure."""
+"""The roots of chance: the instrument as it was built, the course of a run, and the noise of each exposure."""
 
 import hashlib
 
@@ -18,3 +18,13 @@ def instrument_rng(seed: int, what: str) -> np.random.Generator:
 def exposure_key(seed: int, run: str, serial: int) -> int:
     """64 bits that belong to exposure ``serial`` of ``run`` alone."""
     return _key("exposure", seed, run, serial)
+
+
+def exposure_rng(seed: int, run: str, serial: int, what: str) -> np.random.Generator:
+    """Numbers for one thing that changes from exposure to exposure; independent of its camera noise."""
+    return np.random.default_rng(_key("exposure", seed, run, serial, what))
+
+
+def run_rng(seed: int, run: str, what: str) -> np.random.Generator:
+    """Numbers for one thing that changes in the course of a run."""
+    return np.random.default_rng(_key("run", seed, run, what))

@@ -20,9 +20,10 @@ from greenough.instrument.limits import check_patterns, check_within
 from greenough.instrument.rigfile import RigFile, load_rig_file
 
 from .bench import Bench
-from .camera import build_sensor, expose
+from .camera import build_sensor, displaced, expose
+from .instability import Instability
 from .renderer import dr, mi
-from .scene import camera_dict, integrator_dict, projector_dict, specimen_dict
+from .scene import camera_dict, integrator_dict, mirrors_passed, pixels_passed, projector_dict, specimen_dict
 from .settings import TwinSettings, twin_settings
 from .workbench import Workbench
 
@@ -106,7 +107,11 @@ class TwinRig:
         self._rig_file = rig_file
         self._settings: TwinSettings = twin_settings(rig_file)
         self._renderer = Renderer(rig_file, self._settings, workbench)
+        self._workbench = workbench
         self._sensor = build_sensor(rig_file.camera, self._settings.camera, self._settings.seed)
+        procedure = rig_file.procedure
+        exposures = (procedure.postures + procedure.planes) * sum(procedure.steps)
+        self._instability = Instability(self._settings.stability, self._settings.seed, run, exposures)
         self._run = run
         self._serial = exposures_done
         self._clock_s = 0.0
@@ -134,9 +139,22 @@ class TwinRig:
         Raises InputError when ``patterns`` are not (N, rows, cols) uint8 of the projector's shape, or when nothing is
         mounted.
         """
+        check_patterns(patterns, self.projector.shape)
         exposure_us = self.camera.exposure_us
-        rate = np.pi * self._settings.light.white_electrons_per_ms * exposure_us * 1e-3
-        electrons = [radiance * rate for radiance in self._renderer.radiance(patterns)]
+        white = self._settings.light.white_electrons_per_ms * exposure_us * 1e-3
+        serials = self._serial + np.arange(len(patterns), dtype=np.int64)
+        optics, changes = self._settings.optics, self._instability
+        vibration = changes.vibration(serials)
+        sideways = [[changes.path_drift(self._serial) / (optics.column_pitch_um * 1e-3), 0.0]]
+        self._workbench.drift = changes.table_drift(self._serial)
+        images = self._renderer.radiance(patterns, mirrors_passed(optics, vibration) + sideways)
+        moved = pixels_passed(optics, vibration)
+        brightness = np.pi * white * changes.flicker(serials)
+        electrons = [
+            displaced(image, self.camera.shape, shift) * dr.opaque(mi.Float, float(factor))
+            + self._settings.light.ambient * white
+            for image, shift, factor in zip(images, moved, brightness, strict=True)
+        ]
         stack = expose(electrons, self._sensor, self._settings.seed, self._run, self._serial)
         n = len(patterns)
         period_s = (exposure_us + BLANKING_US) * 1e-6
@@ -147,7 +165,7 @@ class TwinRig:
             exposure_us=exposure_us,
             gain_db=0.0,
             stage_position_mm=self.stage.position_mm,
-            serials=self._serial + np.arange(n, dtype=np.int64),
+            serials=serials,
             times_s=self._clock_s + np.arange(n) * period_s,
             run=self._run,
         )
@@ -186,14 +204,15 @@ class Renderer:
         self._sensor = mi.load_dict(camera_dict(settings.optics, self._shape))
         self._projector: tuple[bytes, mi.Emitter] | None = None
 
-    def radiance(self, patterns: np.ndarray) -> list[mi.Float]:
-        """Radiance of each pattern, N arrays of (rows * cols,)."""
+    def radiance(self, patterns: np.ndarray, shift: np.ndarray | None = None) -> list[mi.Float]:
+        """Radiance of each pattern, N arrays of (rows * cols,), the patterns moved by ``shift`` (N, 2)."""
         check_patterns(patterns, self._projector_shape)
-        digest = hashlib.sha256(patterns.tobytes()).digest()
-        state = (self._workbench.mounted, self._workbench.position, digest)
+        shift = np.zeros((len(patterns), 2)) if shift is None else shift
+        digest = hashlib.sha256(patterns.tobytes() + shift.tobytes()).digest()
+        state = (self._workbench.mounted, self._workbench.position, tuple(self._workbench.drift), digest)
         if self._kept is None or self._kept[0] != state:
             self._kept = None  # the old stack is freed before the new one is made
-            scene = mi.load_dict(self._scene(self._projector_for(patterns, digest)))
+            scene = mi.load_dict(self._scene(self._projector_for(patterns, shift, digest)))
             integrator = scene.integrator()
             self._kept = (state, integrator.render_channels(scene, scene.sensors()[0]))
             dr.sync_thread()
@@ -205,9 +224,9 @@ class Renderer:
         projector = projector_dict(self._settings.optics, patterns)
         return self._scene(projector) | {"sensor": camera_dict(self._settings.optics, self._shape)}
 
-    def _projector_for(self, patterns: np.ndarray, digest: bytes) -> mi.Emitter:
+    def _projector_for(self, patterns: np.ndarray, shift: np.ndarray, digest: bytes) -> mi.Emitter:
         if self._projector is None or self._projector[0] != digest:
-            self._projector = (digest, mi.load_dict(projector_dict(self._settings.optics, patterns)))
+            self._projector = (digest, mi.load_dict(projector_dict(self._settings.optics, patterns, shift)))
         return self._projector[1]
 
     def _scene(self, projector: object) -> dict[str, Any]:

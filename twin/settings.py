@@ -38,10 +38,14 @@ class OpticsSettings(BaseModel):
 
 
 class LightSettings(BaseModel):
-    """Electrons per ms that a white Lambertian surface gives a pixel in the middle of the field."""
+    """Electrons per ms that a white Lambertian surface gives a pixel in the middle of the field.
+
+    ``ambient`` is light that every pixel gets besides, as a share of that: 0.5 % of full scale where white has 80 %.
+    """
 
     model_config = _STRICT
     white_electrons_per_ms: Annotated[float, Field(gt=0, le=1e6)] = 75.0
+    ambient: Annotated[float, Field(ge=0, le=1)] = 0.00625
 
 
 class CameraSettings(BaseModel):
@@ -62,6 +66,16 @@ class StageSettings(BaseModel):
     straightness_sd_um: Size = 2.0
     pitch_roll_sd_urad: Size = 100.0
     axis_sd_deg: Annotated[float, Field(ge=0, le=5)] = 0.2
+
+
+class StabilitySettings(BaseModel):
+    """Standard deviations: of each frame for flicker (relative) and vibration, after a calibration for the drifts."""
+
+    model_config = _STRICT
+    flicker: Annotated[float, Field(ge=0, le=0.1)] = 0.001
+    vibration_um: Annotated[float, Field(ge=0, le=10)] = 0.1
+    table_drift_um: Annotated[float, Field(ge=0, le=100)] = 0.5
+    path_drift_um: Annotated[float, Field(ge=0, le=10)] = 0.05
 
 
 class BoardSettings(BaseModel):
@@ -97,6 +111,7 @@ class TwinSettings(BaseModel):
     light: LightSettings = LightSettings()
     camera: CameraSettings = CameraSettings()
     stage: StageSettings = StageSettings()
+    stability: StabilitySettings = StabilitySettings()
     board: BoardSettings = BoardSettings()
     render: RenderSettings = RenderSettings()
 

@@ -5,6 +5,7 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from greenough.instrument.contract import Placement
 from greenough.instrument.errors import InputError
@@ -17,7 +18,7 @@ from greenough.scenes.parts import Part, Specimen, transform
 from .placing import flat, lifted, on_wedge, tilted
 from .randomness import instrument_rng
 from .settings import TwinSettings
-from .stage import StageErrors, build_stage
+from .stage import StageErrors, build_stage, rigid
 
 BOARDS = ("board", "second-board")
 
@@ -41,6 +42,7 @@ class Workbench:
         self._settings = settings
         self.stage: StageErrors = build_stage(settings.stage, settings.seed)
         self.position = 0.0
+        self.drift = np.zeros(3)  # of the table against the microscope, twin's frame
         self.mounted: Mounted | None = None
 
     def printed_board(self, part: str) -> PrintedBoard:
@@ -109,7 +111,11 @@ class Workbench:
     def twin_from_part(self) -> np.ndarray:
         """Where the mounted part really is, (4, 4), at the stage's present position."""
         assert self.mounted is not None
-        return self.stage.twin_from_table(self.position) @ self.mounted.table_from_part
+        return (
+            rigid(Rotation.identity(), self.drift)
+            @ self.stage.twin_from_table(self.position)
+            @ self.mounted.table_from_part
+        )
 
     def parts_in_twin(self) -> list[Part]:
         """The mounted surfaces in the twin's frame."""

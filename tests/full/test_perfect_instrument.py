@@ -23,6 +23,8 @@ PERFECT = (
     *(f"twin.camera.{name}" for name in ("shot_noise=false", "read_noise_e=0", "prnu=0", "dsnu_e=0")),
     *(f"twin.stage.{n}=0" for n in ("position_sd_um", "straightness_sd_um", "pitch_roll_sd_urad", "axis_sd_deg")),
     *(f"twin.board.{n}=0" for n in ("print_sd_um", "scale_sd_ppm", "bow_sd_um", "wedge_sd_urad", "ink_thickness_um")),
+    "twin.light.ambient=0",
+    *(f"twin.stability.{name}=0" for name in ("flicker", "vibration_um", "table_drift_um", "path_drift_um")),
 )
 PINHOLES = (
     "twin.optics.finite_aperture=false",
@@ -71,7 +73,7 @@ def test_planes_between_the_calibration_heights_to_200_nm(calibration, optics, f
         frames = rig.capture(calibration.fringes.patterns(*rig.projector.shape))
         points = reconstruct(decode(frames, calibration.fringes, rig.camera.noise), calibration)
         error = height_error_um(points, bench)
-        assert np.isfinite(error).sum() > 0.4 * error.size  # of 56 % that are lit
+        assert np.isfinite(error).mean() > 0.35  # the calibration board covers 8 mm, the light 6.1 mm
         figure(f"perfect instrument, {optics}: plane at {z} mm, RMS", rms(error), 0.2, "um")
         assert rms(error) <= 0.2
 

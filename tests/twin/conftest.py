@@ -12,6 +12,13 @@ import greenough.twin as gt
 from greenough.twin.renderer import mi
 from greenough.twin.scene import axis_frame
 
+STABLE = (
+    "twin.light.ambient=0",
+    "twin.stability.flicker=0",
+    "twin.stability.vibration_um=0",
+    "twin.stability.table_drift_um=0",
+    "twin.stability.path_drift_um=0",
+)
 # The whole field in coarse pixels.
 SMALL = ("camera.rows=60", "camera.cols=80", "twin.optics.camera_focal_px=1417.6875")
 PERFECT = (
@@ -32,12 +39,15 @@ Opener = Callable[..., tuple[gt.TwinRig, gt.Bench]]
 
 @pytest.fixture(scope="session")
 def small() -> Opener:
-    """Opens a twin of 60 x 80 pixels; ``perfect`` switches off mechanical errors, ``pinholes`` all blur of lenses."""
+    """Opens a twin of 60 x 80 pixels that does not change with time.
+
+    ``perfect`` switches off mechanical errors, ``pinholes`` all blur of lenses.
+    """
 
     def opened(
         *overrides: str, perfect: bool = False, pinholes: bool = False, run: str = "test", exposures_done: int = 0
     ) -> tuple[gt.TwinRig, gt.Bench]:
-        chosen = [*SMALL, *(PERFECT if perfect else ()), *(PINHOLES if pinholes else ()), *overrides]
+        chosen = [*SMALL, *STABLE, *(PERFECT if perfect else ()), *(PINHOLES if pinholes else ()), *overrides]
         return gt.open("twin", chosen, run=run, exposures_done=exposures_done)
 
     return opened

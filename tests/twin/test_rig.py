@@ -198,8 +198,9 @@ def test_the_identity_names_the_instrument_and_its_settings(small):
 
 
 def test_opening_by_name_gives_the_same_rig_without_the_bench(small):
-    rig = open_rig("twin", ["camera.rows=60", "camera.cols=80", "twin.optics.camera_focal_px=1417.6875"], run="test")
-    ours, _ = small()
+    chosen = ["camera.rows=60", "camera.cols=80", "twin.optics.camera_focal_px=1417.6875"]
+    rig = open_rig("twin", chosen, run="test")
+    ours, _ = gt.open("twin", chosen, run="test")
     for either in (rig, ours):
         either.operator.place(Placement("plane"))
     patterns = fringe_patterns(ours)[:2]

@@ -7,6 +7,9 @@
      Mitsuba's own ``projector`` does; the origin is the centre of the pupil towards the scene.
  * - patterns: tensor (N, rows, cols)
      Grey values 0-255.
+ * - pattern_shift: tensor (N, 2)
+     Columns and rows by which each pattern has moved against its place towards lower ones (default: 0); only with a
+     band limit.
  * - pattern: integer
      Which pattern integrators other than ``fringe`` see (default: 0).
  * - column_pitch, row_pitch: float
@@ -54,16 +57,17 @@ class LensProjector(mi.Emitter):
         self.wavelength = float(props.get("wavelength", 0.0))
         self.na = float(props.get("diffraction_na", self.aperture / self.focus))
         self.mirrors = Mirrors(*self.pitch, float(props.get("fill", 0.92)), float(props.get("off_state", 0.0)))
-        self.set_patterns(np.array(props["patterns"]).astype(np.uint8))
+        shift = np.array(props["pattern_shift"]) if "pattern_shift" in props else None
+        self.set_patterns(np.array(props["patterns"]).astype(np.uint8), shift)
 
-    def set_patterns(self, patterns: np.ndarray) -> None:
-        """Show other ``patterns``, (N, rows, cols) uint8."""
+    def set_patterns(self, patterns: np.ndarray, shift: np.ndarray | None = None) -> None:
+        """Show other ``patterns``, (N, rows, cols) uint8, each moved by ``shift`` (N, 2), see the module."""
         self.n_patterns, rows, cols = patterns.shape
         # A diamond array is half a column wider than its columns: its middle is that of even and odd rows together.
         stagger = 0.25 if self.wavelength > 0 else 0.0
         self.middle = ((cols - 1) / 2 + stagger, (rows - 1) / 2)
         if self.wavelength > 0:
-            table = band_limited(patterns, self.mirrors, self.na, self.wavelength)
+            table = band_limited(patterns, self.mirrors, self.na, self.wavelength, shift)
         else:
             table = square_pixels(patterns)
         self.table_shape = table.values.shape[:2]  # (table_rows, table_cols)

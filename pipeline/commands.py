@@ -33,7 +33,7 @@ def calibrate(
         typer.Option(
             "--method", help="paper: trust the stage, fit every pixel; bundle: trust the board, fit one model."
         ),
-    ] = "paper",
+    ] = "bundle",
     run: RunOption = "calibrate",
     settings: SetOption = None,
     as_json: JsonOption = False,

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from .aiming import aim_exactly
-from .paraxial import DESIGN_WAVELENGTH_UM
+from .paraxial import DESIGN_WAVELENGTH_UM, paraxial
 from .placed import PathErrors, PlacedPath, place
 from .prescription import Prescription
 from .trace import Double, image_point, trace
@@ -29,7 +29,15 @@ class AssembledPath:
     """A path as it was built and where it stands."""
 
     path: PlacedPath
+    errors: PathErrors  # of its elements and image
     twin_from_path: np.ndarray  # (4, 4)
+
+    @property
+    def twin_from_pupil(self) -> np.ndarray:
+        """The frame (4, 4) of Mitsuba's sensors: from the entrance pupil's middle, z to the specimen, x to the left."""
+        path_from_pupil = np.diag([-1.0, 1.0, -1.0, 1.0])
+        path_from_pupil[2, 3] = paraxial(self.path.prescription).entrance.z
+        return self.twin_from_path @ path_from_pupil
 
 
 def draw_path_errors(prescription: Prescription, tolerances: Tolerances, rng: np.random.Generator) -> PathErrors:
@@ -53,7 +61,8 @@ def assemble(
     Its axis leans by ``lean`` (rad) from the twin's z towards +x, but for its error. The assembler then slides the
     whole path sideways until the middle of its image sees the specimen's middle, which leaves the pointing error.
     """
-    path = place(prescription, draw_path_errors(prescription, tolerances, rng))
+    errors = draw_path_errors(prescription, tolerances, rng)
+    path = place(prescription, errors)
     axis_error = np.radians(tolerances.axis_deg) * rng.standard_normal(2)
     focus_error = tolerances.focus_mm * rng.standard_normal()
     pointing_error = tolerances.pointing_mm * rng.standard_normal(2)
@@ -66,7 +75,7 @@ def assemble(
     origin = origin + pose[:3, 3]
     seen = origin - direction * origin[2] / direction[2]
     pose[:2, 3] += pointing_error - seen[:2]
-    return AssembledPath(path, pose)
+    return AssembledPath(path, errors, pose)
 
 
 def _central_ray(path: PlacedPath) -> tuple[np.ndarray, np.ndarray]:

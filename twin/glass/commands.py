@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from greenough.instrument.errors import InputError
 from greenough.instrument.progress import progress
 from greenough.instrument.verbs import JsonOption, SetOption, show
 
@@ -29,7 +30,10 @@ def optics(
     from .prescription import BUILT_IN, load_prescription
 
     twin_settings(load_rig_file(rig, settings or []))  # refuses what is no twin
-    out.mkdir(parents=True, exist_ok=True)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot make the folder {out}: {error.strerror}; name another with --out.") from None
     summaries, files = {}, []
     with progress(len(BUILT_IN), "drawing", quiet=as_json) as advance:
         for name in BUILT_IN:

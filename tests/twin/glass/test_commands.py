@@ -37,3 +37,10 @@ def test_another_rig_is_refused(greenough, tmp_path):
     code, _, err = greenough("nowhere.toml", "--out", tmp_path)
     assert code == 2
     assert "nowhere.toml" in err
+
+
+def test_a_file_in_the_folders_place_is_refused(greenough, tmp_path):
+    (tmp_path / "taken").write_text("")
+    code, _, err = greenough("twin", "--out", tmp_path / "taken")
+    assert code == 2
+    assert "taken" in err

@@ -60,7 +60,7 @@ def test_examples_run_in_the_order_of_the_page_and_the_commands_with_them(folder
     examples = doctest.DocTestParser().get_doctest("\n".join(blocks("python")), {}, "README.md", str(README), 0)
     lines = "\n".join(blocks("sh")).splitlines()
     verbs = {line.split()[1] for line in lines}
-    assert verbs == {"demo", "check", "calibrate", "measure", "compare", "decode", "record", "replay"}
+    assert verbs == {"demo", "check", "calibrate", "measure", "compare", "decode", "record", "replay", "optics"}
 
     patterns = np.load(saved_by(examples, "patterns.npy"))
     Path("frames").mkdir()

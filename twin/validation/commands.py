@@ -28,7 +28,8 @@ def demo(
     overrides = settings or []
     with progress(steps(rig, overrides), "demo", quiet=as_json) as advance:
         claims = demonstrate(rig, overrides, out, advance)
-    columns = ("claim", "specimen", "paper", "measured", "unit", "n", "limit", "holds", "expected_to_hold")
+    columns = ("claim", "specimen", "calibration", "paper", "measured", "unit", "n", "limit", "holds")
+    columns += ("expected_to_hold",)
     table = [{name: row[name] for name in columns} for row in map(asdict, claims)]
     unexpected = [claim.claim for claim in claims if not claim.as_expected]
     show({"claims": table, "unexpected": unexpected, "folder": out}, as_json)

@@ -1,12 +1,11 @@
 """Claims about distances: neighbouring spots of the board that set the scale, and of one that did not."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from greenough.instrument.contract import Placement, SpotBoard
 from greenough.pipeline.decode import PhaseMap
-from greenough.pipeline.reconstruct import points_at_height
 from greenough.pipeline.spots import Spots, detect_spots
 
 from .claims import Claim
@@ -21,37 +20,42 @@ PAPER_ROWS, PAPER_COLS = 5, 7
 FILTER = "phase averaged over each spot"
 
 
-def pitch_claims(setup: Setup) -> Iterator[Claim]:
-    """Distances on both boards, each held in a new posture."""
+def pitch_claims(setups: Sequence[Setup]) -> Iterator[Claim]:
+    """Distances on both boards, each held in a new posture, by every calibration."""
     for part, prefix in (("board", "pitch"), ("second-board", "pitch_second_board")):
-        setup.place(Placement(part, posture=POSTURE))
-        phase_map = setup.capture()
-        centres = spot_points(setup, phase_map, detect_spots(phase_map.background, setup.calibration.board))
-        true = setup.bench.specimen.as_built["centres_mm"]
-        board = setup.calibration.board
-        for pairs, suffix in ((paper_pairs(board), ""), (all_pairs(board), "_all_spots")):
-            measured = _distances(centres, pairs)
-            error = measured - _distances(true, pairs)
-            seen = np.isfinite(measured)
-            measured, error, n = measured[seen], error[seen], int(seen.sum())
-            yield setup.claim(
-                f"{prefix}_mean{suffix}", part, float(np.mean(measured)), "mm", n,
-                f"within 0.0015 mm of {board.pitch_mm:g} mm", paper=0.6502, limit=0.0015,
-                holds=bool(abs(np.mean(measured) - board.pitch_mm) <= 0.0015), filter=FILTER,
-            )  # fmt: skip
-            yield setup.claim(
-                f"{prefix}_sd{suffix}", part, float(np.std(measured, ddof=1)), "mm", n,
-                "standard deviation of single distances, the boards' print errors included", paper=0.0011,
-                limit=0.0011, filter=FILTER, predicted=1e-3 * np.sqrt(2) * setup.bench.settings.board.print_sd_um,
-            )  # fmt: skip
-            yield setup.claim(
-                f"{prefix}_error_mean{suffix}", part, 1e3 * float(np.mean(error)), "um", n,
-                "mean difference from the true distances of this board", filter=FILTER,
-            )  # fmt: skip
-            yield setup.claim(
-                f"{prefix}_error_sd{suffix}", part, 1e3 * float(np.std(error, ddof=1)), "um", n,
-                "standard deviation of the differences from the true distances of this board", filter=FILTER,
-            )  # fmt: skip
+        setups[0].place(Placement(part, posture=POSTURE))
+        phase_map = setups[0].capture()
+        spots = detect_spots(phase_map.background, setups[0].calibration.board)
+        for setup in setups:
+            yield from _board_claims(setup, part, prefix, spot_points(setup, phase_map, spots))
+
+
+def _board_claims(setup: Setup, part: str, prefix: str, centres: np.ndarray) -> Iterator[Claim]:
+    true = setup.bench.specimen.as_built["centres_mm"]
+    board = setup.calibration.board
+    for pairs, suffix in ((paper_pairs(board), ""), (all_pairs(board), "_all_spots")):
+        measured = _distances(centres, pairs)
+        error = measured - _distances(true, pairs)
+        seen = np.isfinite(measured)
+        measured, error, n = measured[seen], error[seen], int(seen.sum())
+        yield setup.claim(
+            f"{prefix}_mean{suffix}", part, float(np.mean(measured)), "mm", n,
+            f"within 0.0015 mm of {board.pitch_mm:g} mm", paper=0.6502, limit=0.0015,
+            holds=bool(abs(np.mean(measured) - board.pitch_mm) <= 0.0015), filter=FILTER,
+        )  # fmt: skip
+        yield setup.claim(
+            f"{prefix}_sd{suffix}", part, float(np.std(measured, ddof=1)), "mm", n,
+            "standard deviation of single distances, the boards' print errors included", paper=0.0011,
+            limit=0.0011, filter=FILTER, predicted=1e-3 * np.sqrt(2) * setup.bench.settings.board.print_sd_um,
+        )  # fmt: skip
+        yield setup.claim(
+            f"{prefix}_error_mean{suffix}", part, 1e3 * float(np.mean(error)), "um", n,
+            "mean difference from the true distances of this board", filter=FILTER,
+        )  # fmt: skip
+        yield setup.claim(
+            f"{prefix}_error_sd{suffix}", part, 1e3 * float(np.std(error, ddof=1)), "um", n,
+            "standard deviation of the differences from the true distances of this board", filter=FILTER,
+        )  # fmt: skip
 
 
 def spot_points(setup: Setup, phase_map: PhaseMap, spots: Spots) -> np.ndarray:
@@ -73,8 +77,7 @@ def spot_points(setup: Setup, phase_map: PhaseMap, spots: Spots) -> np.ndarray:
         design = np.column_stack([np.ones(inside.sum()), du[inside], dv[inside]])
         heights = z[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1][inside]
         height = np.linalg.lstsq(design, heights, rcond=None)[0][:1]
-        camera, camera_from_world = setup.calibration.camera, setup.calibration.camera_from_world
-        points[k] = points_at_height(spots.centres_px[k : k + 1], height, camera, camera_from_world)[0]
+        points[k] = setup.calibration.rays.points_at(spots.centres_px[k : k + 1], height)[0]
     return points
 
 

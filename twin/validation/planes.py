@@ -1,12 +1,13 @@
 """Claims about planes: noise, depth over the volume, its extent, and a step made by the stage."""
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.special import erf
 
 from greenough.instrument.contract import Placement
+from greenough.pipeline.decode import PhaseMap
 from greenough.pipeline.phasor_filter import filter_phasors
 from greenough.pipeline.reconstruct import PointMap
 
@@ -22,7 +23,8 @@ STEP_MM = 2.5
 PAPER_LINE, PAPER_ROWS = 330, 960  # the row whose profile the paper shows, and of how many
 CALIBRATION_SD_SHARE = (0.27, 0.37)
 """Standard deviation of a four-parameter fit to 30 planes over that of one measurement: in the middle of its range, and
-over the range (least squares with the design matrix of a cubic). It is a pattern that no filter takes out of z."""
+over the range (least squares with the design matrix of a cubic). It is a pattern that no filter takes out of z. The
+bundle fits no relation to single pixels and has no such pattern."""
 
 
 def paper_line(rows: int) -> int:
@@ -56,12 +58,16 @@ class PlaneNoise:
     filtered_noise: float
 
 
-def measure_plane(setup: Setup) -> PlaneNoise:
-    """Capture a plane twice."""
-    setup.place(Placement("plane"), NOISE_HEIGHT_MM)
-    first, second = setup.capture(), setup.capture()
+def measure_plane(setups: Sequence[Setup]) -> list[PlaneNoise]:
+    """Capture a plane twice, and evaluate it by every calibration."""
+    setups[0].place(Placement("plane"), NOISE_HEIGHT_MM)
+    first, second = setups[0].capture(), setups[0].capture()
+    smoother = filter_phasors(first, setups[0].filter_fwhm_px)
+    return [_plane_noise(setup, first, second, smoother) for setup in setups]
+
+
+def _plane_noise(setup: Setup, first: PhaseMap, second: PhaseMap, smoother: PhaseMap) -> PlaneNoise:
     raw = _without_plane(setup, setup.points(first))
-    smoother = filter_phasors(first, setup.filter_fwhm_px)
     return PlaneNoise(
         raw=raw,
         two_exposures=_without_plane(setup, PointMap((setup.points(first).xyz + setup.points(second).xyz) / 2)),
@@ -79,8 +85,8 @@ def noise_claims(setup: Setup, plane: PlaneNoise) -> Iterator[Claim]:
     raw, two, filtered, noise = plane.raw, plane.two_exposures, plane.filtered, plane.noise
     line = raw[paper_line(len(raw))]
     line = line[np.isfinite(line)]
-    shape = flatness_error(systematic_error(setup.bench, setup.readings, np.array([NOISE_HEIGHT_MM]))[0])
-    fixed = CALIBRATION_SD_SHARE[0] * noise
+    shape = flatness_error(_expected_error(setup, np.array([NOISE_HEIGHT_MM]))[0])
+    fixed = CALIBRATION_SD_SHARE[0] * noise if setup.believes_stage else 0.0
 
     def predicted(measurement: float) -> float:
         return 1e3 * float(np.sqrt(shape**2 + measurement**2 + fixed**2))
@@ -113,49 +119,67 @@ def noise_claims(setup: Setup, plane: PlaneNoise) -> Iterator[Claim]:
     )  # fmt: skip
 
 
-def volume_claims(setup: Setup, advance: Callable[[float], None]) -> Iterator[Claim]:
-    """Depth error over the volume, and how large that volume is."""
-    errors, spans, heights = [], [], []
-    noise = smooth_noise = 0.0
-    setup.place(Placement("plane"))
+@dataclass
+class Volume:
+    """What planes at several heights gave: errors of their points and what they cover, a height after the other."""
+
+    errors: list[np.ndarray] = field(default_factory=list)  # (points,) mm
+    spans: list[tuple[np.ndarray, np.ndarray]] = field(default_factory=list)
+    heights: list[float] = field(default_factory=list)  # true, of the planes' middles
+    noise: list[float] = field(default_factory=list)  # predicted for one exposure, mm
+    filtered_noise: list[float] = field(default_factory=list)
+
+
+def measure_volume(setups: Sequence[Setup], advance: Callable[[float], None]) -> list[Volume]:
+    """Capture a plane at heights between the calibration's, and evaluate each by every calibration."""
+    volumes = [Volume() for _ in setups]
+    setups[0].place(Placement("plane"))
     for height in VOLUME_HEIGHTS_MM:
-        setup.rig.stage.move_to_mm(height)
-        phase_map = setup.capture()
-        points = setup.filtered_points(phase_map)
-        errors.append(vertical_error(setup, points)[points.valid])
-        spans.append(_covered(points))
-        heights.append(setup.bench.world_from_part[2, 3])
-        noise = _rms(setup.height_sigma(phase_map)[points.valid])
-        filtered = filter_phasors(phase_map, setup.filter_fwhm_px)
-        smooth_noise = _rms(setup.height_sigma(filtered)[points.valid])
+        setups[0].rig.stage.move_to_mm(height)
+        phase_map = setups[0].capture()
+        filtered = filter_phasors(phase_map, setups[0].filter_fwhm_px)
+        for setup, volume in zip(setups, volumes, strict=True):
+            points = setup.points(filtered)
+            volume.errors.append(vertical_error(setup, points)[points.valid])
+            volume.spans.append(_covered(points))
+            volume.heights.append(setup.bench.world_from_part[2, 3])
+            volume.noise.append(_rms(setup.height_sigma(phase_map)[points.valid]))
+            volume.filtered_noise.append(_rms(setup.height_sigma(filtered)[points.valid]))
         advance(1)
-    systematic = systematic_error(setup.bench, setup.readings, np.array(heights))
-    sigma = float(np.hypot(smooth_noise, CALIBRATION_SD_SHARE[1] * noise))
-    together = np.abs(np.concatenate(errors))
+    return volumes
+
+
+def volume_claims(setup: Setup, volume: Volume) -> Iterator[Claim]:
+    """Depth error over the volume, and how large that volume is."""
+    heights = volume.heights
+    systematic = _expected_error(setup, np.array(heights))
+    fixed = CALIBRATION_SD_SHARE[1] * _rms(np.array(volume.noise)) if setup.believes_stage else 0.0
+    sigma = float(np.hypot(_rms(np.array(volume.filtered_noise)), fixed))
+    together = np.abs(np.concatenate(volume.errors))
     yield setup.claim(
         "depth_p95_volume", "plane", 1e3 * float(np.percentile(together, 95)), "um", len(together),
         f"95 % of the vertical errors at {len(heights)} heights between the calibration's", paper=4.0, limit=4.0,
         filter=setup.filter_name, predicted=1e3 * percentile_with_noise(systematic, sigma, 0.95),
     )  # fmt: skip
-    for height, error, expected in zip(heights, errors, systematic.mean(axis=1), strict=True):
+    for height, error, expected in zip(heights, volume.errors, systematic.mean(axis=1), strict=True):
         yield setup.claim(
             f"depth_bias_at_{height:+.1f}mm", "plane", 1e3 * float(np.mean(error)), "um", len(error),
             "mean vertical error; predicted from stage and board as built", filter=setup.filter_name,
             predicted=1e3 * float(expected),
         )  # fmt: skip
-    low, high = np.max([s[0] for s in spans], axis=0), np.min([s[1] for s in spans], axis=0)
+    low, high = np.max([s[0] for s in volume.spans], axis=0), np.min([s[1] for s in volume.spans], axis=0)
     board, depth = setup.calibration.board.size_mm, heights[-1] - heights[0]
     lean = np.tan(np.radians(setup.bench.settings.optics.convergence_deg / 2))
     # The blank side as seen by a camera that leans shifts over the depth: that much less is covered at all heights.
     across = board - lean * depth
     width, length = high - low
     yield setup.claim(
-        "volume_x", "plane", width, "mm", len(spans),
+        "volume_x", "plane", width, "mm", len(heights),
         f"width measured at all heights is at least 0.96 of {across:.2f} mm, the board less its parallax", paper=8.0,
         limit=0.96 * across, holds=width >= 0.96 * across, predicted=across,
     )  # fmt: skip
     yield setup.claim(
-        "volume_y", "plane", length, "mm", len(spans), "length measured at all heights is at least 5.9 mm",
+        "volume_y", "plane", length, "mm", len(heights), "length measured at all heights is at least 5.9 mm",
         paper=6.0, limit=5.9, holds=length >= 5.9,
     )  # fmt: skip
     yield setup.claim(
@@ -164,22 +188,31 @@ def volume_claims(setup: Setup, advance: Callable[[float], None]) -> Iterator[Cl
     )  # fmt: skip
 
 
-def step_claims(setup: Setup) -> Iterator[Claim]:
-    """A step of 2.5 mm, made by the stage and known to the bench."""
-    setup.place(Placement("plane"))
-    mean, true, n = [], [], 0
+def step_claims(setups: Sequence[Setup]) -> Iterator[Claim]:
+    """A step of 2.5 mm, made by the stage and known to the bench, by every calibration."""
+    setups[0].place(Placement("plane"))
+    errors: list[list[np.ndarray]] = [[] for _ in setups]
+    true = []
     for height in (-STEP_MM / 2, STEP_MM / 2):
-        setup.rig.stage.move_to_mm(height)
-        error = vertical_error(setup, setup.points(setup.capture()))
-        mean.append(float(np.nanmean(error)))
-        n += int(np.isfinite(error).sum())
-        true.append(setup.bench.world_from_part[2, 3])
-    low, high = systematic_error(setup.bench, setup.readings, np.array(true)).mean(axis=1)
-    yield setup.claim(
-        "step_2500um", "plane", 1e3 * (mean[1] - mean[0]), "um", n,
-        f"error of a true step of {true[1] - true[0]:.4f} mm; predicted from the stage as built",
-        limit=4.0, predicted=1e3 * float(high - low),
-    )  # fmt: skip
+        setups[0].rig.stage.move_to_mm(height)
+        phase_map = setups[0].capture()
+        true.append(setups[0].bench.world_from_part[2, 3])
+        for setup, error in zip(setups, errors, strict=True):
+            error.append(vertical_error(setup, setup.points(phase_map)))
+    for setup, (lower, upper) in zip(setups, errors, strict=True):
+        low, high = _expected_error(setup, np.array(true)).mean(axis=1)
+        step = float(np.nanmean(upper) - np.nanmean(lower))
+        yield setup.claim(
+            "step_2500um", "plane", 1e3 * step, "um", _count(lower) + _count(upper),
+            f"error of a true step of {true[1] - true[0]:.4f} mm; predicted from the stage as built",
+            limit=4.0, predicted=1e3 * float(high - low),
+        )  # fmt: skip
+
+
+def _expected_error(setup: Setup, heights: np.ndarray) -> np.ndarray:
+    """Systematic error of z at true ``heights`` (h,), (h, places) mm: none where the stage is not believed."""
+    error = systematic_error(setup.bench, setup.readings, heights)
+    return error if setup.believes_stage else np.zeros_like(error)
 
 
 def _without_plane(setup: Setup, points: PointMap) -> np.ndarray:

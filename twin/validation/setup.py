@@ -22,7 +22,10 @@ NO_FILTER = "none"
 
 @dataclass(frozen=True)
 class Setup:
-    """A calibrated twin, ready to measure, in a run of its own."""
+    """A calibrated twin, ready to measure, in a run of its own.
+
+    Setups of several calibrations share one rig: what one of them captures, all evaluate.
+    """
 
     rig: TwinRig
     bench: Bench
@@ -44,6 +47,11 @@ class Setup:
     def filter_name(self) -> str:
         """How a filtered row names it."""
         return f"gaussian on phasors, fwhm {self.filter_fwhm_px:.2f} px"
+
+    @property
+    def believes_stage(self) -> bool:
+        """Whether the calibration took the stage's readings for true heights."""
+        return self.calibration.method == "paper"
 
     @property
     def readings(self) -> np.ndarray:
@@ -112,7 +120,7 @@ class Setup:
             n=int(n),
             filter=filter,
             alignment=alignment,
-            calibration=str(self.calibration.figures["method"]),
+            calibration=self.calibration.method,
             seed=self.bench.settings.seed,
             limit=None if limit is None else float(limit),
             holds=None if holds is None else bool(holds),

@@ -1,6 +1,6 @@
 """Claims about the paper's specimens: each measured, compared with the mesh that was rendered, and kept as files."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -38,27 +38,40 @@ class Measured:
     comparison: Comparison
 
 
-def measure_specimen(setup: Setup, name: str, folder: Path) -> Measured:
-    """Measure one specimen and leave ``NAME.ply`` and ``NAME-truth.ply``, both in the calibrated frame."""
-    brackets = setup.calibration.procedure.brackets if name in SHINY else (1.0,)
-    phase_map = measure_phase(setup.rig, setup.calibration, Placement(name), brackets)
-    points = setup.points(phase_map)
-    truth = setup.bench.truth()
-    judged = smooth(truth, setup.airy_radius_px) & truth.lit_and_seen
+def measure_specimen(setups: Sequence[Setup], name: str, folder: Path) -> list[Measured]:
+    """Measure one specimen, evaluate it by every calibration, and leave clouds and mesh, all in the calibrated frame.
+
+    The first calibration's cloud is ``NAME.ply``, those of others are ``NAME-METHOD.ply``; the mesh is
+    ``NAME-truth.ply``.
+    """
+    first = setups[0]
+    brackets = first.calibration.procedure.brackets if name in SHINY else (1.0,)
+    phase_map = measure_phase(first.rig, first.calibration, Placement(name), brackets)
+    truth = first.bench.truth()
+    judged = smooth(truth, first.airy_radius_px) & truth.lit_and_seen
+    mesh = Mesh(*merge(first.bench.parts_in_world()))
+    write_mesh(folder / f"{name}-truth.ply", mesh, {"unit": "mm", "specimen": name})
+    measured = []
+    for setup in setups:
+        suffix = "" if setup is first else f"-{setup.calibration.method}"
+        points = setup.points(phase_map)
+        cloud = _cloud(setup, name, points, truth, judged)
+        write_cloud(folder / f"{name}{suffix}.ply", cloud)
+        measured.append(Measured(name, phase_map.background, points, truth, judged, compare(cloud, mesh)))
+    return measured
+
+
+def _cloud(setup: Setup, name: str, points: PointMap, truth: Truth, judged: np.ndarray) -> PointCloud:
     # Valid points that truth does not call lit and seen stay in the cloud, and out of the rows and the valid share.
     facts = {
         "unit": "mm",
         "specimen": name,
+        "calibration": setup.calibration.method,
         "filter": "none",
         "lit_and_seen": int(truth.lit_and_seen.sum()),
         "seed": setup.bench.settings.seed,
     }
-    cloud = PointCloud.from_point_map(_only(points, truth.lit_and_seen), judged, facts)
-    vertices, faces = merge(setup.bench.parts_in_world())
-    mesh = Mesh(vertices, faces)
-    write_cloud(folder / f"{name}.ply", cloud)
-    write_mesh(folder / f"{name}-truth.ply", mesh, {"unit": "mm", "specimen": name})
-    return Measured(name, phase_map.background, points, truth, judged, compare(cloud, mesh))
+    return PointCloud.from_point_map(_only(points, truth.lit_and_seen), judged, facts)
 
 
 def specimen_claims(setup: Setup, measured: Measured) -> Iterator[Claim]:

@@ -9,6 +9,7 @@ import pytest
 
 from greenough.instrument.contract import Procedure, SpotBoard
 from greenough.pipeline.camera_model import CameraModel
+from greenough.pipeline.rays import rays_of_camera
 from greenough.twin.settings import TwinSettings
 from greenough.twin.validation.setup import Setup
 
@@ -27,7 +28,9 @@ def analytic() -> Callable[..., Setup]:
         above = np.diag([1.0, -1.0, -1.0, 1.0])
         above[2, 3] = 224.56
         calibration = SimpleNamespace(
+            method="paper",
             camera=camera,
+            rays=rays_of_camera(camera, above),
             camera_from_world=above,
             board=BOARD,
             fringes=SimpleNamespace(periods=PROCEDURE.periods_px, steps=PROCEDURE.steps),

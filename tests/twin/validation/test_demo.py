@@ -31,6 +31,7 @@ NAMES = set(
     step_2500um
     """.split()  # noqa: SIM905  a list of words
 )
+METHODS = {"bundle": "", "paper": "-paper"}  # and how the clouds' names end
 PER_SPECIMEN = {"bias", "rmse", "p95", "valid_share"}
 
 
@@ -54,8 +55,8 @@ def document(finished) -> dict:
 
 
 def test_leaves_its_files_and_nothing_else(finished):
-    specimens = {f"{name}{suffix}.ply" for name in SPECIMENS for suffix in ("", "-truth")}
-    expected = {"claims.json", "calibration.h5", "report.html"} | specimens
+    specimens = {f"{name}{suffix}.ply" for name in SPECIMENS for suffix in ("", "-paper", "-truth")}
+    expected = {"claims.json", "calibration.h5", "calibration-paper.h5", "report.html"} | specimens
     assert {path.name for path in finished[0].iterdir()} == expected
     assert Calibration.load(finished[0] / "calibration.h5").camera.shape == (240, 320)
     assert (finished[0] / "report.html").read_text(encoding="utf-8").count('src="data:image/png') == 1 + len(SPECIMENS)
@@ -65,10 +66,12 @@ def test_every_name_that_scripts_rely_on_has_its_row_and_every_row_its_fields(do
     rows = document["claims"]
     assert {field.name for field in fields(Claim)} == set(rows[0])
     assert all(set(row) == set(rows[0]) for row in rows)
-    assert {row["claim"] for row in rows} >= NAMES
-    for specimen in SPECIMENS:
-        assert {row["claim"] for row in rows if row["specimen"] == specimen} >= PER_SPECIMEN
-    assert len({(row["claim"], row["specimen"]) for row in rows}) == len(rows)
+    for method in METHODS:
+        of_method = [row for row in rows if row["calibration"] == method]
+        assert {row["claim"] for row in of_method} >= NAMES
+        for specimen in SPECIMENS:
+            assert {row["claim"] for row in of_method if row["specimen"] == specimen} >= PER_SPECIMEN
+    assert len({(row["claim"], row["specimen"], row["calibration"]) for row in rows}) == len(rows)
     for row in rows:
         assert isinstance(row["measured"], float), row
         assert (row["limit"] is None) == (row["holds"] is None) == (row["expected_to_hold"] is None), row
@@ -81,14 +84,16 @@ def test_exit_code_is_1_if_a_row_is_not_as_expected_and_0_otherwise(finished, do
     assert finished[1] == (1 if unexpected else 0)
 
 
+@pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("name", ["bga", "diaphragm-raised"])
-def test_compare_reproduces_the_rows(finished, document, capsys, name):
-    cloud, mesh = (str(finished[0] / f"{name}{suffix}.ply") for suffix in ("", "-truth"))
+def test_compare_reproduces_the_rows(finished, document, capsys, name, method):
+    cloud, mesh = (str(finished[0] / f"{name}{suffix}.ply") for suffix in (METHODS[method], "-truth"))
     capsys.readouterr()
     assert run(["compare", cloud, mesh, "--align", "none", "--json"], entry_points(group=GROUP)) == 0
     result = json.loads(capsys.readouterr().out)
     (vertical,) = [row for row in result["rows"] if (row["quantity"], row["points"]) == ("vertical", "smooth")]
-    rows = {row["claim"]: row for row in document["claims"] if row["specimen"] == name}
+    of_method = [row for row in document["claims"] if row["calibration"] == method]
+    rows = {row["claim"]: row for row in of_method if row["specimen"] == name}
     for claim in ("bias", "rmse", "p95"):
         assert vertical[f"{claim}_um"] == pytest.approx(rows[claim]["measured"], rel=1e-9)
         assert vertical["n"] == rows[claim]["n"]

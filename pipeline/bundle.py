@@ -40,7 +40,7 @@ _START_SD = np.array([0.02, 0.003, 0.001])  # of centres (px), spots' phases and
 _LEAST_SD = np.array([1e-4, 1e-6, 1e-6])
 _OUTLIER = 5.0  # standard deviations
 _LEAST_SHARE = 0.02  # of an observation's variance that its residual has
-_ROUNDS = 2  # of solving, then weighting anew
+_ROUNDS = 8  # of solving, then weighting anew, unless the outliers stay the same
 _ITERATIONS = 30
 _CONVERGED = 1e-4  # squared length of a step in standard deviations
 
@@ -110,7 +110,9 @@ def solve_bundle(data: BundleData, start: CameraCalibration, board: SpotBoard, h
     weights = _start_weights(data)
     for _ in range(_ROUNDS):
         state, information = _solve(problem, state, weights)
-        weights = _reweighted(problem, state, weights, information)
+        before, weights = weights, _reweighted(problem, state, weights, information)
+        if all(np.array_equal(*kept) for kept in zip(before.kept, weights.kept, strict=True)):
+            break
     state, information = _solve(problem, state, weights)
     instrument = problem.layout.instrument
     covariance = _inverse(information)[:instrument, :instrument]

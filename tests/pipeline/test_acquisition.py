@@ -14,6 +14,7 @@ from scipy.special import expit
 
 from greenough.instrument.contract import CameraNoise, Frames, Placement, Procedure, RigIdentity, SpotBoard
 from greenough.instrument.errors import InputError
+from greenough.pipeline import acquisition
 from greenough.pipeline.acquisition import calibrate, calibrate_by_methods, measure, plane_heights
 from greenough.pipeline.calibration import Calibration
 from greenough.pipeline.unfinished import Unfinished
@@ -305,6 +306,23 @@ def test_too_few_postures_are_refused_before_the_planes_and_can_be_laid_again(tm
     with PlainRig(exposures_done=Unfinished.beside(out).exposures) as rig:
         calibrate(rig, out, run="run")
     assert [placement.posture for placement in rig.placed if placement.face == "printed"] == list(hidden)
+
+
+def test_too_few_phases_at_spots_are_refused_before_the_planes_and_only_by_the_bundle(tmp_path, monkeypatch):
+    measured = acquisition.measure_spot_phases
+
+    def mostly_dark(phase_map, spots):
+        phases = measured(phase_map, spots)
+        return replace(phases, sigma_rad=np.where(np.arange(len(phases.sigma_rad)) < 5, phases.sigma_rad, np.nan))
+
+    monkeypatch.setattr(acquisition, "measure_spot_phases", mostly_dark)
+    out = tmp_path / "cal.h5"
+    with PlainRig() as rig, pytest.raises(InputError, match=r"from \d+ spots with a phase in 8 postures: at least 50"):
+        calibrate(rig, out, run="run", method="bundle")
+    assert all(placement.face == "printed" for placement in rig.placed)
+    assert list(Unfinished.beside(out).folder.glob("posture-*")) == []
+    with PlainRig() as rig:
+        assert calibrate(rig, out, run="run", method="paper").method == "paper"
 
 
 def test_planes_beyond_the_stage_are_refused_before_anything_moves(tmp_path):

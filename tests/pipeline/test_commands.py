@@ -1,6 +1,7 @@
 import json
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -77,6 +78,7 @@ def test_alignment_is_applied_when_asked(tmp_path, capsys):
         ("compare", "cloud.ply"),
         ("measure", "twin", "--calibration", "missing.h5", "--sample", "coin", "--out", "coin.ply"),
         ("calibrate", "no-such-rig", "--out", "cal.h5"),
+        ("calibrate", "twin", "--out", "cal.h5", "--method", "guess"),
     ],
 )
 def test_bad_input_ends_with_2_and_one_sentence(tmp_path, monkeypatch, capsys, arguments):
@@ -151,6 +153,21 @@ def measured(tmp_path, monkeypatch):
         return code, asked, read_cloud(out) if out.exists() else None
 
     return call
+
+
+@pytest.mark.parametrize(("options", "method"), [((), "bundle"), (("--method", "paper"), "paper")])
+def test_calibrate_hands_over_the_method(tmp_path, monkeypatch, capsys, options, method):
+    asked = {}
+
+    def calibrate(rig, out, run, advance, method):
+        asked.update(out=out, run=run, method=method)
+        return SimpleNamespace(identity=RigIdentity("bench", "1", "2", "0" * 64), figures={"method": method})
+
+    monkeypatch.setattr(commands, "open_rig", lambda name, overrides, **options: Opened())
+    monkeypatch.setattr(commands.acquisition, "calibrate", calibrate)
+    assert greenough("calibrate", "bench", "--out", tmp_path / "cal.h5", *options, "--json") == 0
+    assert asked == {"out": tmp_path / "cal.h5", "run": "calibrate", "method": method}
+    assert json.loads(capsys.readouterr().out)["method"] == method
 
 
 def test_measure_smooths_and_merges_nothing_unless_asked(measured):

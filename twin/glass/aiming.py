@@ -5,7 +5,7 @@ blink from pixel to pixel. Newton's iteration finds each ray exactly; inside the
 such rays once for each path as it was built, comes within a micrometre.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations_with_replacement
 from typing import Any
 
@@ -64,54 +64,49 @@ class Aim:
         middle seen from the middle of the field: from the image its projected solid angle, outwards the area of its
         image in the pupil's plane.
         """
+        x, y, monomials = self.terms(point, disk_x, disk_y)
+        sums = [x, y, 0.0]
+        for monomial, row in zip(monomials, self.coefficients.tolist(), strict=True):
+            sums = [dr.fma(value, monomial, total) for value, total in zip(row, sums, strict=True)]
+        return sums[0], sums[1], sums[2]
+
+    def terms(self, point: tuple[Any, Any, Any], disk_x: Any, disk_y: Any) -> tuple[Any, Any, list[Any]]:
+        """Where to aim by first-order optics, (x, y), and the monomials that the rest is made of."""
         scale = self.stop_radius * self.pupil.magnification
         x, y = disk_x * scale, disk_y * scale
         field_x, field_y = point[0], point[1]
         if self.outwards:  # the field is where the ray crosses z = 0
             t = point[2] / (point[2] - self.pupil.z)
             field_x, field_y = dr.fma(t, x - field_x, field_x), dr.fma(t, y - field_y, field_y)
-        monomials = _monomials(field_x / self.half_field[0], field_y / self.half_field[1], disk_x, disk_y)
-        sums = [0.0, 0.0, 0.0]
-        for monomial, row in zip(monomials, self.coefficients.tolist(), strict=True):
-            sums = [dr.fma(value, monomial, total) for value, total in zip(row, sums, strict=True)]
-        return x + sums[0], y + sums[1], sums[2]
+        return x, y, _monomials(field_x / self.half_field[0], field_y / self.half_field[1], disk_x, disk_y)
 
 
 def fit_aim(path: PlacedPath, outwards: bool) -> Aim:
     """The polynomials for rays from the specimen (``outwards``) or from the image, at the design wavelength."""
-    prescription, pupil = path.prescription, _pupil(path, outwards)
-    scale = abs(paraxial(prescription).magnification) if outwards else 1.0
-    half_field = (
-        MARGIN * prescription.image.width / 2 / scale,
-        MARGIN * prescription.image.height / 2 / scale,
+    image = path.prescription.image
+    scale = abs(paraxial(path.prescription).magnification) if outwards else 1.0
+    half_field = MARGIN * image.width / 2 / scale, MARGIN * image.height / 2 / scale
+    unfitted = Aim(
+        outwards, _pupil(path, outwards), path.prescription.stop_radius, half_field, np.zeros((len(MONOMIALS), 3))
     )
     u = 2 * qmc.Sobol(VARIABLES + 1, rng=np.random.default_rng(1)).random(SAMPLES).T - 1
-    x, y, depth = half_field[0] * u[0], half_field[1] * u[1], DEPTH * u[4]
+    x, y, depth = Double(half_field[0] * u[0]), Double(half_field[1] * u[1]), Double(DEPTH * u[4])
     radius, angle = np.sqrt((u[2] + 1) / 2), np.pi * u[3]
     disk = np.stack([radius * np.cos(angle), radius * np.sin(angle)])
-    point = (Double(x), Double(y), Double(depth)) if outwards else image_point(path, Double(x), Double(y))
+    point = (x, y, depth) if outwards else image_point(path, x, y)
+    middle = (Double(0), Double(0), Double(0)) if outwards else image_point(path, Double(0), Double(0))
+
+    ideal_x, ideal_y, monomials = unfitted.terms(point, Double(disk[0]), Double(disk[1]))
     heads = _pupil_points(path, point, disk, outwards)
-    dx, dy = np.array([disk[0], disk[1]]) * pupil.magnification * prescription.stop_radius
-    if outwards:
-        t = depth / (depth - pupil.z)
-        x, y = x + t * (dx - x), y + t * (dy - y)
-    monomials = np.stack(
-        [np.broadcast_to(m, len(x)) for m in _monomials(x / half_field[0], y / half_field[1], *disk)], axis=1
-    )
-    weight = _weights(path, point, disk, outwards)
-    middle = _weights(path, _middle(path, outwards), np.zeros((2, 1)), outwards)
-    target = np.stack([heads[0] - dx, heads[1] - dy, weight / middle], axis=1)
-    coefficients, *_ = np.linalg.lstsq(monomials, target, rcond=None)
-    return Aim(outwards, pupil, prescription.stop_radius, half_field, coefficients)
+    weight = _weights(path, point, disk, outwards) / _weights(path, middle, np.zeros((2, 1)), outwards)
+    values = np.stack([np.broadcast_to(np.array(monomial), SAMPLES) for monomial in monomials], axis=1)
+    target = np.stack([heads[0] - np.array(ideal_x), heads[1] - np.array(ideal_y), weight], axis=1)
+    return replace(unfitted, coefficients=np.linalg.lstsq(values, target, rcond=None)[0])
 
 
 def _pupil(path: PlacedPath, outwards: bool) -> Pupil:
     summary = paraxial(path.prescription)
     return summary.entrance if outwards else summary.exit
-
-
-def _middle(path: PlacedPath, outwards: bool) -> tuple[Any, Any, Any]:
-    return (Double(0), Double(0), Double(0)) if outwards else image_point(path, Double(0), Double(0))
 
 
 def _pupil_points(path: PlacedPath, point: tuple[Any, Any, Any], disk: np.ndarray, outwards: bool) -> np.ndarray:
@@ -136,7 +131,7 @@ def _weights(path: PlacedPath, point: tuple[Any, Any, Any], disk: np.ndarray, ou
         return np.abs(along_x[0] * along_y[1] - along_x[1] * along_y[0])
     directions = [np.array([np.array(c) for c in _exact(path, point, side, outwards)[3:]]) for side in sides]
     solid_angle = np.cross(directions[0] - directions[1], directions[2] - directions[3], axis=0)
-    # An element of the unit sphere is perpendicular to its direction: its area against the image is the projection.
+    # As a vector it points along the ray: along the image's normal it is the projected one.
     return np.abs(np.array(path.image.normal) @ solid_angle)
 
 

@@ -10,6 +10,7 @@ from matplotlib.lines import Line2D
 
 from greenough.instrument.files import atomic_path
 
+from ..diffraction import airy_radius
 from ..renderer import dr
 from .aberrations import (
     astigmatic_foci,
@@ -90,7 +91,7 @@ def layout(path: PlacedPath) -> Figure:
 def spots(path: PlacedPath) -> Figure:
     """Spots on the specimen over field and depth at three wavelengths, and the Airy disc around the chief ray."""
     summary = paraxial(path.prescription)
-    airy_um = 0.61 * DESIGN_WAVELENGTH_UM / summary.na
+    airy_um = airy_radius(summary.na, DESIGN_WAVELENGTH_UM)
     radii = _half_diagonal(path) * np.array(FIELDS)
     points = image_points(path, _diagonal(path, radii))
     disk = stop_points(8)
@@ -134,7 +135,7 @@ def over_field(path: PlacedPath) -> Figure:
     tangential, sagittal = astigmatic_foci(path, points)
     bundle = pencils(path, points, stop_points(40))
     focus = best_focus(bundle)
-    airy_um = 0.61 * DESIGN_WAVELENGTH_UM / paraxial(path.prescription).na
+    airy_um = airy_radius(paraxial(path.prescription).na, DESIGN_WAVELENGTH_UM)
     colours = [wavelength for wavelength in COLOURS if wavelength != DESIGN_WAVELENGTH_UM]
 
     figure = Figure(figsize=(12, 7), layout="constrained")

@@ -51,7 +51,7 @@ def calibrate(
     out: str | Path,
     run: str = "default",
     advance: Callable[[float], None] = lambda steps: None,
-    method: Method = "paper",
+    method: Method = "bundle",
 ) -> Calibration:
     """Calibrate a rig by one method and write the calibration; see `calibrate_by_methods`."""
     return calibrate_by_methods(rig, {method: out}, run, advance)[method]

@@ -48,7 +48,8 @@ def calibrate(
         steps = opened.procedure.postures + opened.procedure.planes + 1
         with progress(steps, "calibrating", quiet=as_json) as advance:
             calibration = acquisition.calibrate(opened, out, run, advance, method)
-    show({"calibration": out, "rig": calibration.identity.name, "run": run, **calibration.figures}, as_json)
+    summary = {"calibration": out, "rig": calibration.identity.name, "run": run, "method": calibration.method}
+    show({**summary, **calibration.figures}, as_json)
 
 
 @app.command()

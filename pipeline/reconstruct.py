@@ -6,9 +6,6 @@ import numpy as np
 
 from .calibration import Calibration
 from .decode import PhaseMap
-from .rays import points_at_height
-
-__all__ = ["PointMap", "points_at_height", "reconstruct"]
 
 
 @dataclass(frozen=True)

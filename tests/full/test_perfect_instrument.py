@@ -46,7 +46,7 @@ def optics(request) -> str:
 def calibration(optics, tmp_path_factory) -> Calibration:
     rig, _ = gt.open("twin", [*PERFECT, *OPTICS[optics], DIRECT], run="calibration")
     with rig:
-        return calibrate(rig, tmp_path_factory.mktemp(optics) / "calibration.h5", run="calibration")
+        return calibrate(rig, tmp_path_factory.mktemp(optics) / "calibration.h5", run="calibration", method="paper")
 
 
 def measurement(optics: str) -> tuple[gt.TwinRig, gt.Bench]:

@@ -168,7 +168,7 @@ def pose_of(placement, hidden=False):
 def undisturbed(tmp_path_factory):
     out = tmp_path_factory.mktemp("undisturbed") / "cal.h5"
     with PlainRig() as rig:
-        calibration = calibrate(rig, out, run="run")
+        calibration = calibrate(rig, out, run="run", method="paper")
     return calibration, out, rig
 
 
@@ -264,7 +264,7 @@ def test_a_killed_calibration_goes_on_to_the_same_result(undisturbed, tmp_path, 
     assert not out.exists()
     steps: list[float] = []
     with PlainRig(exposures_done=Unfinished.beside(out).exposures) as rig:
-        resumed = calibrate(rig, out, run="run", advance=steps.append)
+        resumed = calibrate(rig, out, run="run", advance=steps.append, method="paper")
     assert_same(resumed, undisturbed[0])
     assert sum(steps) == PROCEDURE.postures + PROCEDURE.planes + 1
     tilted_again = [placement.posture for placement in rig.placed if placement.posture is not None]

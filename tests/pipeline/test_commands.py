@@ -161,7 +161,7 @@ def test_calibrate_hands_over_the_method(tmp_path, monkeypatch, capsys, options,
 
     def calibrate(rig, out, run, advance, method):
         asked.update(out=out, run=run, method=method)
-        return SimpleNamespace(identity=RigIdentity("bench", "1", "2", "0" * 64), figures={"method": method})
+        return SimpleNamespace(identity=RigIdentity("bench", "1", "2", "0" * 64), method=method, figures={"planes": 30})
 
     monkeypatch.setattr(commands, "open_rig", lambda name, overrides, **options: Opened())
     monkeypatch.setattr(commands.acquisition, "calibrate", calibrate)

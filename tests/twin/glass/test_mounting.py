@@ -66,7 +66,7 @@ def local(path_points):
 
 # A chief ray by polynomials may miss the stop's middle by micrometres away from the design wavelength, which moves what
 # it meets out of focus.
-@pytest.mark.parametrize(("wavelength_um", "tolerance_nm"), [(0.525, 20), (0.540, 60)])
+@pytest.mark.parametrize(("wavelength_um", "tolerance_nm"), [(0.525, 30), (0.540, 80)])
 def test_pixels_see_where_the_chief_ray_comes_from(wavelength_um, tolerance_nm):
     errors = sloppy("camera")
     camera = mount("camera", errors_to_json(errors), outwards=False, nodes=16)
@@ -85,7 +85,7 @@ def test_pixels_see_where_the_chief_ray_comes_from(wavelength_um, tolerance_nm):
     assert np.array(weight) == pytest.approx(1, abs=0.01)
 
 
-@pytest.mark.parametrize(("wavelength_um", "tolerance_nm"), [(0.525, 20), (0.540, 60)])
+@pytest.mark.parametrize(("wavelength_um", "tolerance_nm"), [(0.525, 30), (0.540, 80)])
 def test_points_are_lit_by_the_mirror_that_the_chief_ray_meets(wavelength_um, tolerance_nm):
     errors = sloppy("projector")
     projector = mount("projector", errors_to_json(errors), outwards=True, nodes=16)

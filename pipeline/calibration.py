@@ -27,21 +27,24 @@ VERSION = 2
 
 Method = Literal["paper", "bundle"]
 
-_PHASE_HEIGHT_UNITS = {
-    "coefficients": "m1 mm, m0 mm, n1 1, r3 mm^-2",
-    "phase_centre": "rad",
-    "phase_half_range": "rad",
-    "z_range": "mm",
-    "valid": "1",
+_ARRAYS = {
+    "rays": {"origin": "mm", "slope": "1"},
+    "phase_height": {
+        "coefficients": "m1 mm, m0 mm, n1 1, r3 mm^-2",
+        "phase_centre": "rad",
+        "phase_half_range": "rad",
+        "z_range": "mm",
+        "valid": "1",
+    },
+    "residuals": {
+        "centres_px": "px",
+        "spots_px": "px",
+        "spot_phases_rad": "rad",
+        "planes_um": "um",
+        "pixels_um": "um",
+    },
 }
-_RAYS_UNITS = {"origin": "mm", "slope": "1"}
-_RESIDUALS_UNITS = {
-    "centres_px": "px",
-    "spots_px": "px",
-    "spot_phases_rad": "rad",
-    "planes_um": "um",
-    "pixels_um": "um",
-}
+"""Parts of a calibration that are arrays, with the units that the file states."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,7 +165,7 @@ class Calibration:
         with hdf5.create(path, KIND, VERSION) as file:
             hdf5.put(file, "document", json.dumps(document), "UTF-8 JSON")
             hdf5.put(file, "camera_from_world", self.camera_from_world, "1, translation mm")
-            for group, units in _GROUPS.items():
+            for group, units in _ARRAYS.items():
                 for name, unit in units.items():
                     hdf5.put(file, f"{group}/{name}", getattr(getattr(self, group), name), unit)
             if self.instrument is not None:
@@ -182,7 +185,7 @@ class Calibration:
             camera, camera_from_world = CameraModel(**document["camera"]), hdf5.get(file, "camera_from_world")
 
             def arrays(group: str) -> dict[str, np.ndarray]:
-                return {name: hdf5.get(file, f"{group}/{name}") for name in _GROUPS[group]}
+                return {name: hdf5.get(file, f"{group}/{name}") for name in _ARRAYS[group]}
 
             return cls(
                 method=document["method"],
@@ -199,9 +202,6 @@ class Calibration:
                 residuals=Residuals(**arrays("residuals")),
                 instrument=_get_instrument(file, camera, camera_from_world) if "instrument" in file else None,
             )
-
-
-_GROUPS = {"rays": _RAYS_UNITS, "phase_height": _PHASE_HEIGHT_UNITS, "residuals": _RESIDUALS_UNITS}
 
 
 def _put_instrument(file: h5py.File, instrument: InstrumentModel) -> None:

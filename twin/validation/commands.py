@@ -1,4 +1,4 @@
-"""The verbs that need a twin: demo and bench."""
+"""The verbs that need a twin: demo, budget and bench."""
 
 from dataclasses import asdict
 from pathlib import Path
@@ -35,6 +35,25 @@ def demo(
     show({"claims": table, "unexpected": unexpected, "folder": out}, as_json)
     if unexpected:
         raise typer.Exit(1)
+
+
+@app.command()
+def budget(
+    rig: Annotated[str, typer.Argument(metavar="[RIG]", help="A twin.")] = "twin",
+    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="Where the lines go.")] = Path("budget.json"),
+    settings: SetOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Calibrate and measure planes with each physical effect off, and with each alone; say what it costs.
+
+    Takes hours with the full camera; goes on from FILE where it was interrupted.
+    """
+    from .budget import budget as run
+    from .budget import cases
+
+    with progress(len(cases()), "budget", quiet=as_json) as advance:
+        costs = run(rig, settings or [], out, advance)
+    show({"costs": [asdict(cost) for cost in costs]}, as_json)
 
 
 @app.command()

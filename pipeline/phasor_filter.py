@@ -41,7 +41,7 @@ def filter_phasors(phase_map: PhaseMap, fwhm_px: float) -> PhaseMap:
         raise InputError(f"the filter's width is {fwhm_px:g} px: it must be above 0 and at most {widest:g} px")
     valid = phase_map.valid
     kernel = _gaussian(fwhm_px / _FWHM_PER_SIGMA)
-    carrier = _linear_course(phase_map.absolute, valid)
+    carrier = linear_course(phase_map.absolute, valid)
     rest = np.where(valid, phase_map.absolute - carrier, 0.0)
     amplitude = np.where(valid, phase_map.modulation, 0.0).astype(np.float64)
     real, imaginary = _smooth(amplitude * np.cos(rest), kernel), _smooth(amplitude * np.sin(rest), kernel)
@@ -68,7 +68,7 @@ def _smooth(image: np.ndarray, kernel: np.ndarray) -> np.ndarray:
     return cv2.sepFilter2D(image, cv2.CV_64F, kernel, kernel, borderType=cv2.BORDER_CONSTANT)
 
 
-def _linear_course(absolute: np.ndarray, valid: np.ndarray) -> np.ndarray:
+def linear_course(absolute: np.ndarray, valid: np.ndarray) -> np.ndarray:
     """Best-fitted a + b u + c v of a phase map, (rows, cols)."""
     rows, cols = np.nonzero(valid)
     v, u = np.mgrid[: valid.shape[0], : valid.shape[1]]

@@ -7,6 +7,7 @@ from scipy.special import ndtr
 
 _ITERATIONS = 12
 _CONVERGED_PX = 1e-4
+_BLUR_CONVERGED_PX = 1e-3
 _BLUR_START_PX = 1.3
 _MARGIN_PX = 5  # of dark ink around the spot, at least
 _WINDOW_STEP_PX = 4  # windows come in sizes of this step, so that spots can be fitted together
@@ -99,7 +100,7 @@ def _fit_windows(
         step = np.linalg.solve(normal + 1e-12 * np.eye(10), (jacobian @ residual[..., None]))[..., 0]
         parameters += _limited(step)
         parameters[:, 5] = np.clip(parameters[:, 5], 0.3, 0.6 * np.sqrt(radius2))
-        if np.abs(step[:, :2]).max() < _CONVERGED_PX:
+        if np.abs(step[:, :2]).max() < _CONVERGED_PX and np.abs(step[:, 5]).max() < _BLUR_CONVERGED_PX:
             break
     model, jacobian = _blurred_ellipse(parameters, radius2, x, y, slopes)
     residual = pixels - model

@@ -36,11 +36,14 @@ class Spots:
         Semi-axes at half contrast, the longer first; blur makes them shorter by blur² / 2R.
     sigma_px : (rows * cols,)
         Standard deviation of each coordinate of a centre, from the fit's own residual.
+    blur_px : (rows * cols,), optional
+        Standard deviation of the Gaussian that blurs the edge, the pixel's own area included.
     """
 
     centres_px: np.ndarray
     axes_px: np.ndarray
     sigma_px: np.ndarray
+    blur_px: np.ndarray | None = None
 
     @property
     def seen(self) -> np.ndarray:
@@ -86,10 +89,14 @@ def detect_spots(image: np.ndarray, board: SpotBoard) -> Spots:
             f"sharp, evenly lit ellipses, and at least {MIN_SPOTS} are needed; check focus, light and dirt"
         )
     total = board.rows * board.cols
-    centres_px, axes_px, sigma_px = np.full((total, 2), np.nan), np.full((total, 2), np.nan), np.full(total, np.nan)
     seen = spot[good]
-    centres_px[seen], axes_px[seen], sigma_px[seen] = fits.centres_px[good], fits.axes_px[good], fits.sigma_px[good]
-    return Spots(centres_px, axes_px, sigma_px)
+
+    def in_order(values: np.ndarray) -> np.ndarray:
+        ordered = np.full((total, *values.shape[1:]), np.nan)
+        ordered[seen] = values[good]
+        return ordered
+
+    return Spots(in_order(fits.centres_px), in_order(fits.axes_px), in_order(fits.sigma_px), in_order(fits.blur_px))
 
 
 def _noise_dn(image: np.ndarray) -> float:

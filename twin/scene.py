@@ -94,6 +94,7 @@ def integrator_dict(render: RenderSettings, plain: bool, flat: bool) -> dict[str
         "type": "fringe",
         "nodes": render.nodes,
         "nodes_indirect": render.nodes_indirect,
+        "smoothing": render.smoothing_px,
         "bounces": 1 if flat else render.bounces,
     }
     return integrator | {"node_table": mi.TensorXf(designed_nodes())} if plain else integrator

@@ -12,9 +12,16 @@
      the low-discrepancy ones unless ``spp`` asks for another number.
  * - bounces: integer
      Surface interactions of a path: 1 is direct light only, 2 adds one interreflection (default: 2).
+ * - guided: boolean
+     Draw half of the paths of the interreflections from a map of the light around each part of the picture, see
+     ``greenough.twin.plugins.guiding`` (default: true).
+ * - smoothing: integer
+     Radius in pixels within which the interreflections are averaged along smooth surfaces of one material, see
+     ``greenough.twin.plugins.smoothing``; 0 is none (default), which is unbiased.
  * - shift_per_pixel: boolean
      Shift the nodes by a random vector in each pixel, seeded by ``seed`` (default: false). The fixed nodes make an
-     error that is smooth and part of the optics; shifted ones are unbiased and noisy, and serve to show so.
+     error that is smooth and part of the optics; shifted ones are unbiased and noisy, and serve to show so. The nodes
+     of the interreflections are always shifted, without this by the same vectors whatever the seed.
 
 The result of ``mi.render`` is a tensor (rows, cols, N), a channel per pattern. The light of other emitters is the same
 in all channels. Glossy surfaces are met by sampling the emitters, so that mirror-like ones need an emitter with an
@@ -22,18 +29,22 @@ extent that rays can hit.
 """
 
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 import cv2
 import numpy as np
 
 from ..quadrature import nodes
 from ..renderer import dr, mi
+from .guiding import Guide, look_around
 from .lens_projector import LensProjector
 from .lens_sensor import BORDER, LensSensor
+from .smoothing import smoothed
 
 DIMENSIONS_CAMERA = 4  # pixel, camera pupil
 DIMENSIONS_LIGHT = 2  # pupil of an emitter
 DIMENSIONS_BOUNCE = 3  # lobe and direction
+DIMENSIONS_GUIDE = 2  # direction
 FAST_MULTIPLE = 16  # of pixels: lengths with more factors of five take half as long again to transform
 
 
@@ -48,6 +59,8 @@ class FringeIntegrator(mi.SamplingIntegrator):
             self.nodes = len(self.node_table)
         self.nodes_indirect = int(props.get("nodes_indirect", self.nodes))
         self.bounces = int(props.get("bounces", 2))
+        self.guided = bool(props.get("guided", True))
+        self.smoothing = int(props.get("smoothing", 0))
         self.shift_per_pixel = bool(props.get("shift_per_pixel", False))
 
     def render(self, scene, sensor=0, seed=0, spp=0, develop=True, evaluate=True):
@@ -69,89 +82,108 @@ class FringeIntegrator(mi.SamplingIntegrator):
         nodes_direct = spp or self.nodes
         nodes_indirect = max(2, self.nodes_indirect * nodes_direct // self.nodes)
         with dr.suspend_grad():
-            channels = self._accumulate(scene, sensor, seed, nodes_direct, indirect=False)
+            trace = partial(self._visible, scene)
+            channels = self._accumulate(sensor, seed, nodes_direct, False, trace, _channels(scene))
             if self.bounces > 1:
                 dr.eval(channels)
-                more = self._accumulate(scene, sensor, seed, nodes_indirect, indirect=True)
+                guide = self._guide(scene, sensor) if self.guided else None
+                trace = partial(self._indirect, scene, guide)
+                more = self._accumulate(sensor, seed, nodes_indirect, True, trace, _channels(scene))
+                if self.smoothing:
+                    more = self._smoothed(more, scene, sensor)
                 channels = [c + m for c, m in zip(channels, more, strict=True)]
             lit = sum(dr.abs(channel) for channel in channels) > 0
             dr.eval(channels, lit)
         return _diffracted(channels, lit, sensor) if _border(sensor) else channels
 
     @dr.syntax
-    def _accumulate(self, scene, sensor, seed, count, indirect):
-        """Mean over ``count`` nodes of the direct or of the indirect light, N arrays."""
-        size = sensor.film().crop_size()
-        offset = sensor.film().crop_offset()
-        border = _border(sensor)
-        cols, rows = int(size[0]) + 2 * border, int(size[1]) + 2 * border
-        bounces = self.bounces - 1 if indirect else 0
-        dimensions = DIMENSIONS_CAMERA + DIMENSIONS_LIGHT + DIMENSIONS_BOUNCE * bounces
+    def _accumulate(self, sensor, seed, count, indirect, trace, n_channels):
+        """Mean of ``trace`` over ``count`` nodes, N arrays."""
+        dimensions = DIMENSIONS_CAMERA + DIMENSIONS_LIGHT
+        if dr.hint(indirect, mode="scalar"):
+            dimensions += DIMENSIONS_BOUNCE * (self.bounces - 1) + DIMENSIONS_GUIDE
         designed = self.node_table is not None and count == self.nodes and not indirect
         table = mi.Float((self.node_table if designed else nodes(count, dimensions)).ravel().astype(np.float32))
-        pixel = dr.arange(mi.UInt32, rows * cols)
-        column, row = mi.Float(pixel % cols), mi.Float(pixel // cols)
-        if dr.hint(self.shift_per_pixel, mode="scalar"):
+        pixel = dr.arange(mi.UInt32, dr.prod(_size(sensor)))
+        if dr.hint(indirect or self.shift_per_pixel, mode="scalar"):
             # Hashed: streams that are numbered one by one are correlated between neighbouring pixels.
-            key = 2 * mi.UInt32(seed) + int(indirect)
+            key = (2 * mi.UInt32(seed) if self.shift_per_pixel else mi.UInt32(0)) + int(indirect)
             dr.make_opaque(key)
             state, stream = mi.sample_tea_32(pixel, key)
-            rng = mi.PCG32(rows * cols, state, stream)
+            rng = mi.PCG32(dr.width(pixel), state, stream)
             shift = [rng.next_float32() for _ in range(dimensions)]
         else:
             shift = [mi.Float(0) for _ in range(dimensions)]
 
-        total = [mi.Float(0) for _ in range(_channels(scene))]
+        total = [mi.Float(0) for _ in range(n_channels)]
         i, end = mi.UInt32(0), dr.opaque(mi.UInt32, count)
         while i < end:
             u = []
             for j in range(dimensions):
                 at = dr.gather(mi.Float, table, i * dimensions + j) + shift[j]
                 u.append(at - dr.floor(at))
-            if dr.hint(isinstance(sensor, LensSensor), mode="scalar"):
-                weight = mi.Spectrum(1.0)
-                ray = sensor.pixel_ray(
-                    column + offset.x - border, row + offset.y - border, mi.Point2f(u[0], u[1]), mi.Point2f(u[2], u[3])
-                )
-            else:
-                film = mi.Point2f((column + u[0]) / cols, (row + u[1]) / rows)
-                ray, weight = sensor.sample_ray(0.0, 0.5, film, mi.Point2f(u[2], u[3]))
-            pupil = mi.Point2f(u[4], u[5])
-            if dr.hint(indirect, mode="scalar"):
-                path = self._indirect(scene, mi.Ray3f(ray), mi.Float(weight[0]), pupil, u[6:])
-            else:
-                path = self._visible(scene, mi.Ray3f(ray), mi.Float(weight[0]), pupil)
+            ray, weight = _camera_ray(sensor, pixel, mi.Point2f(u[0], u[1]), mi.Point2f(u[2], u[3]))
+            path = trace(ray, weight, pixel, mi.Point2f(u[4], u[5]), u[6:])
             for k in range(len(total)):
                 total[k] += path[k]
             i += 1
         return [t / count for t in total]
 
-    def _visible(self, scene, ray, throughput, pupil):
+    def _guide(self, scene: mi.Scene, sensor: mi.Sensor) -> Guide:
+        middle = mi.Point2f(0.5)
+        return look_around(
+            scene,
+            _size(sensor),
+            lambda pixel: _camera_ray(sensor, pixel, middle, middle)[0],
+            lambda si, ray, active: _direct(scene, si, ray, mi.Float(1), active, middle, white=True)[0],
+        )
+
+    def _smoothed(self, channels: list[mi.Float], scene: mi.Scene, sensor: mi.Sensor) -> list[mi.Float]:
+        size, middle = _size(sensor), mi.Point2f(0.5)
+        ray, _ = _camera_ray(sensor, dr.arange(mi.UInt32, dr.prod(size)), middle, middle)
+        si = scene.ray_intersect(ray, mi.RayFlags.All, coherent=True)
+        dr.eval(channels, si)
+        return smoothed(channels, si, size, self.smoothing)
+
+    def _visible(self, scene, ray, throughput, pixel, pupil, u):
         """Radiance of what a ray sees, lit directly, and of emitters it hits: N values."""
         si = scene.ray_intersect(ray, mi.RayFlags.All, coherent=True)
         glow = throughput * si.emitter(scene).eval(si)[0]
         return [light + glow for light in _direct(scene, si, ray, throughput, si.is_valid(), pupil)]
 
-    def _indirect(self, scene, ray, throughput, pupil, u):
+    def _indirect(self, scene, guide, ray, throughput, pixel, pupil, u):
         """Radiance that reaches the first surface by way of others: N values."""
         si = scene.ray_intersect(ray, mi.RayFlags.All, coherent=True)
         active = si.is_valid()
         result = [mi.Float(0) for _ in range(_channels(scene))]
+        if guide is not None:
+            tile = guide.tile(pixel)
+            result = _guided(scene, guide, tile, si, ray, throughput, active, pupil, mi.Point2f(u[-2], u[-1]))
         for bounce in range(self.bounces - 1):
             lobe, x, y = u[DIMENSIONS_BOUNCE * bounce : DIMENSIONS_BOUNCE * (bounce + 1)]
             sample, factor = si.bsdf(ray).sample(mi.BSDFContext(), si, lobe, mi.Point2f(x, y), active)
             throughput *= factor[0]
             ray = si.spawn_ray(si.to_world(sample.wo))
+            seen_from = si.p
             si = scene.ray_intersect(ray, mi.RayFlags.All, coherent=False, active=active & (throughput > 0))
             active = si.is_valid()
+            delta = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
+
+            def light(si, ray, throughput, active, seen_from, pdf, delta, first=bounce == 0):
+                if guide is not None and first:  # the other paths find this light, too
+                    density = guide.density(tile, seen_from, si, active & ~delta)
+                    density = dr.select(guide.sees(scene, tile, si, density > 0), density, 0.0)
+                    throughput = throughput * pdf / (pdf + density)
+                return _direct(scene, si, ray, throughput, active, pupil)
+
             # Most paths leave the specimen here: whole vectors of lanes skip the look-up of the patterns.
-            light = dr.if_stmt(
-                args=(si, ray, throughput, active),
+            arriving = dr.if_stmt(
+                args=(si, ray, throughput, active, seen_from, sample.pdf, delta),
                 cond=active,
-                true_fn=lambda si, ray, throughput, active: _direct(scene, si, ray, throughput, active, pupil),
-                false_fn=lambda si, ray, throughput, active: [mi.Float(0) for _ in range(_channels(scene))],
+                true_fn=light,
+                false_fn=lambda *_: [mi.Float(0) for _ in range(_channels(scene))],
             )
-            result = [r + light[k] for k, r in enumerate(result)]
+            result = [r + arriving[k] for k, r in enumerate(result)]
         return result
 
     def to_string(self) -> str:
@@ -160,6 +192,26 @@ class FringeIntegrator(mi.SamplingIntegrator):
 
 def _channels(scene: mi.Scene) -> int:
     return max((e.n_patterns for e in scene.emitters() if isinstance(e, LensProjector)), default=1)
+
+
+def _size(sensor: mi.Sensor) -> tuple[int, int]:
+    """(cols, rows) of what is rendered: the picture and its border."""
+    size, border = sensor.film().crop_size(), _border(sensor)
+    return int(size[0]) + 2 * border, int(size[1]) + 2 * border
+
+
+def _camera_ray(
+    sensor: mi.Sensor, pixel: mi.UInt32, within: mi.Point2f, pupil: mi.Point2f
+) -> tuple[mi.Ray3f, mi.Float]:
+    """The ray of a pixel of what is rendered, counted along rows, and its weight."""
+    cols, rows = _size(sensor)
+    column, row = mi.Float(pixel % cols), mi.Float(pixel // cols)
+    if isinstance(sensor, LensSensor):
+        offset, border = sensor.film().crop_offset(), _border(sensor)
+        return sensor.pixel_ray(column + offset.x - border, row + offset.y - border, within, pupil), mi.Float(1)
+    film = mi.Point2f((column + within.x) / cols, (row + within.y) / rows)
+    ray, weight = sensor.sample_ray(0.0, 0.5, film, pupil)
+    return mi.Ray3f(ray), mi.Float(weight[0])
 
 
 def _border(sensor: mi.Sensor) -> int:
@@ -207,21 +259,50 @@ def _stretch(lit: np.ndarray, border: int) -> slice:
     return slice(first, first + length)
 
 
-def _direct(scene, si, ray, throughput, active, pupil):
-    """Light of all emitters reflected at one surface point, N values."""
+def _guided(scene, guide, tile, si, ray, throughput, active, pupil, u):
+    """Light by way of a surface that the guide proposes, N values: its share in that of one interreflection."""
+    bsdf = si.bsdf(ray)
+    proposed = guide.sample(tile, u, active)
+    other = scene.ray_intersect(proposed, mi.RayFlags.All, coherent=False, active=active)
+    active = other.is_valid()
+
+    def light(si, other, throughput, active):
+        to = si.spawn_ray_to(other.p)
+        reflected, pdf = bsdf.eval_pdf(mi.BSDFContext(), si, si.to_local(to.d), active)
+        density = guide.density(tile, si.p, other, active)
+        active = active & (reflected[0] > 0) & (density > 0)
+        active &= ~scene.ray_test(to, coherent=False, active=active)
+        other.wi = other.to_local(-to.d)
+        share = dr.select(active, throughput * reflected[0] / (density + pdf), 0.0)
+        return _direct(scene, other, to, share, active, pupil)
+
+    return dr.if_stmt(
+        args=(si, other, throughput, active),
+        cond=active,
+        true_fn=light,
+        false_fn=lambda *_: [mi.Float(0) for _ in range(_channels(scene))],
+    )
+
+
+def _direct(scene, si, ray, throughput, active, pupil, white=False):
+    """Light of all emitters reflected at one surface point, N values; projectors may show ``white`` instead."""
     context = mi.BSDFContext()
     bsdf = si.bsdf(ray)
     result = [mi.Float(0) for _ in range(_channels(scene))]
     for emitter in scene.emitters():
         if isinstance(emitter, LensProjector):
-            point, column, row, white = emitter.aim(si.p, pupil)
+            point, column, row, irradiance = emitter.aim(si.p, pupil)
             direction = dr.normalize(mi.Vector3f(point - si.p))
             facing = active & (dr.dot(si.n, direction) > 0)
             reflected = bsdf.eval(context, si, si.to_local(direction), facing)[0]
             facing &= ~scene.ray_test(si.spawn_ray_to(point), coherent=True, active=facing)
-            share = dr.select(facing, throughput * white * reflected, 0.0)
-            light = emitter.light(column, row, facing)
-            result = [r + share * light[k % emitter.n_patterns] for k, r in enumerate(result)]
+            share = dr.select(facing, throughput * irradiance * reflected, 0.0)
+            if white:
+                x, y = emitter.middle
+                light = [dr.select((dr.abs(column - x) < x + 1) & (dr.abs(row - y) < y + 1), 1.0, 0.0)]
+            else:
+                light = emitter.light(column, row, facing)
+            result = [r + share * light[k % len(light)] for k, r in enumerate(result)]
         else:
             ds, radiance = emitter.sample_direction(si, pupil, active)
             reflected = bsdf.eval(context, si, si.to_local(ds.d), active)[0]

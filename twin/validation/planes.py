@@ -12,7 +12,7 @@ from greenough.pipeline.phasor_filter import filter_phasors
 from greenough.pipeline.reconstruct import PointMap
 
 from .claims import Claim
-from .mechanics import flatness_error, percentile_with_noise, systematic_error
+from .mechanics import field_grid, flatness_error, percentile_with_noise, systematic_error
 from .setup import Setup
 
 VOLUME_HEIGHTS_MM = (-1.48, -1.0, -0.5, 0.0, 0.5, 1.0, 1.48)
@@ -20,6 +20,8 @@ VOLUME_HEIGHTS_MM = (-1.48, -1.0, -0.5, 0.0, 0.5, 1.0, 1.48)
 
 NOISE_HEIGHT_MM = 0.1
 STEP_MM = 2.5
+BLOCK_PX = 16  # noise of 2 um becomes 0.1 um in the mean of a block
+SYSTEMATIC_LIMITS_UM = (0.5, 1.5)  # root mean square, and for 99 %
 PAPER_LINE, PAPER_ROWS = 330, 960  # the row whose profile the paper shows, and of how many
 CALIBRATION_SD_SHARE = (0.27, 0.37)
 """Standard deviation of a four-parameter fit to 30 planes over that of one measurement: in the middle of its range, and
@@ -124,6 +126,7 @@ class Volume:
     """What planes at several heights gave: errors of their points and what they cover, a height after the other."""
 
     errors: list[np.ndarray] = field(default_factory=list)  # (points,) mm
+    blocks: list[np.ndarray] = field(default_factory=list)  # (blocks, 3): x, y and error of unfiltered points, mm
     spans: list[tuple[np.ndarray, np.ndarray]] = field(default_factory=list)
     heights: list[float] = field(default_factory=list)  # true, of the planes' middles
     noise: list[float] = field(default_factory=list)  # predicted for one exposure, mm
@@ -141,6 +144,8 @@ def measure_volume(setups: Sequence[Setup], advance: Callable[[float], None]) ->
         for setup, volume in zip(setups, volumes, strict=True):
             points = setup.points(filtered)
             volume.errors.append(vertical_error(setup, points)[points.valid])
+            unfiltered = setup.points(phase_map)
+            volume.blocks.append(_block_means(unfiltered.xyz[..., :2], vertical_error(setup, unfiltered)))
             volume.spans.append(_covered(points))
             volume.heights.append(setup.bench.world_from_part[2, 3])
             volume.noise.append(_rms(setup.height_sigma(phase_map)[points.valid]))
@@ -161,6 +166,7 @@ def volume_claims(setup: Setup, volume: Volume) -> Iterator[Claim]:
         f"95 % of the vertical errors at {len(heights)} heights between the calibration's", paper=4.0, limit=4.0,
         filter=setup.filter_name, predicted=1e3 * percentile_with_noise(systematic, sigma, 0.95),
     )  # fmt: skip
+    yield from _systematic_claims(setup, volume, systematic)
     for height, error, expected in zip(heights, volume.errors, systematic.mean(axis=1), strict=True):
         yield setup.claim(
             f"depth_bias_at_{height:+.1f}mm", "plane", 1e3 * float(np.mean(error)), "um", len(error),
@@ -185,6 +191,30 @@ def volume_claims(setup: Setup, volume: Volume) -> Iterator[Claim]:
     yield setup.claim(
         "z_range", "plane", depth, "mm", len(heights), "true distance of the outermost planes is at least 2.9 mm",
         paper=3.0, limit=2.9, holds=depth >= 2.9,
+    )  # fmt: skip
+
+
+def _systematic_claims(setup: Setup, volume: Volume, systematic: np.ndarray) -> Iterator[Claim]:
+    """What is left when noise is averaged out, beside the best rigid motion of the whole volume."""
+    blocks = np.concatenate(volume.blocks)
+    offset, error = _without_rigid(blocks[:, :2], blocks[:, 2])
+    grid = np.tile(field_grid(), (len(systematic), 1))
+    _, expected = _without_rigid(grid, systematic.ravel())
+    averaged = f"mean over blocks of {BLOCK_PX} x {BLOCK_PX} px"
+    frame = "best height and tilt"
+    yield setup.claim(
+        "depth_origin", "plane", 1e3 * offset, "um", len(blocks), "mean vertical error over all heights",
+        filter=averaged, predicted=1e3 * float(systematic.mean()),
+    )  # fmt: skip
+    yield setup.claim(
+        "depth_systematic_rms", "plane", 1e3 * _rms(error), "um", len(blocks),
+        "root mean square vertical error over all heights", limit=SYSTEMATIC_LIMITS_UM[0], filter=averaged,
+        alignment=frame, predicted=1e3 * _rms(expected),
+    )  # fmt: skip
+    yield setup.claim(
+        "depth_systematic_p99", "plane", 1e3 * float(np.percentile(np.abs(error), 99)), "um", len(blocks),
+        "99 % of the vertical errors over all heights", limit=SYSTEMATIC_LIMITS_UM[1], filter=averaged,
+        alignment=frame, predicted=1e3 * float(np.percentile(np.abs(expected), 99)),
     )  # fmt: skip
 
 
@@ -229,6 +259,22 @@ def _covered(points: PointMap) -> tuple[np.ndarray, np.ndarray]:
     xyz = points.xyz[points.valid]
     along_x, along_y = xyz[np.abs(xyz[:, 1]) < 0.5, 0], xyz[np.abs(xyz[:, 0]) < 0.5, 1]
     return np.array([along_x.min(), along_y.min()]), np.array([along_x.max(), along_y.max()])
+
+
+def _block_means(xy: np.ndarray, error: np.ndarray) -> np.ndarray:
+    """Means of x, y and error over square blocks of which at least half is measured, (blocks, 3)."""
+    rows, cols = (n - n % BLOCK_PX for n in error.shape)
+    values = np.concatenate([xy, error[..., None]], axis=-1)[:rows, :cols]
+    blocks = values.reshape(rows // BLOCK_PX, BLOCK_PX, cols // BLOCK_PX, BLOCK_PX, 3)
+    blocks = blocks.swapaxes(1, 2).reshape(-1, BLOCK_PX * BLOCK_PX, 3)
+    enough = np.isfinite(blocks[..., 2]).sum(axis=1) >= BLOCK_PX * BLOCK_PX / 2
+    return np.nanmean(blocks[enough], axis=1)
+
+
+def _without_rigid(xy: np.ndarray, error: np.ndarray) -> tuple[float, np.ndarray]:
+    """Mean of vertical errors (n,) at places (n, 2), and what the best height and tilt leave of them."""
+    design = np.column_stack([np.ones(len(xy)), xy])
+    return float(error.mean()), error - design @ np.linalg.lstsq(design, error, rcond=None)[0]
 
 
 def _count(values: np.ndarray) -> int:

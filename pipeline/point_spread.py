@@ -34,6 +34,7 @@ _CUTOFFS = np.geomspace(0.2, 1.6, 8)  # cycles per px
 _DISC_RADII_PX = np.linspace(0.0, 6.0, 9)
 _OVERSAMPLING = 2  # of the computed spots: the pixel's box lets hardly more through
 _MARGIN_PX = 24  # around a computed spot
+_LEAST_DEFOCUS = 0.01  # of the blur's mean square, that defocus must add on average
 _SCALE_PX = 0.02  # of the loss: beyond it residuals count less than their square
 
 
@@ -122,13 +123,15 @@ def _start(height: np.ndarray, place: np.ndarray, blur: np.ndarray) -> np.ndarra
 
     A disc of radius r adds r²/4 to the variance along each axis.
     """
-    curvature, slope, least = np.polyfit(height, blur**2, 2)
-    if curvature * np.var(height) <= 0.01 * least:
+    offset = height - height.mean()
+    parabola = np.stack([np.ones_like(offset), offset, offset**2], axis=-1)
+    middle, slope, curvature = np.linalg.lstsq(parabola, blur**2, rcond=None)[0]
+    if curvature * np.var(height) <= _LEAST_DEFOCUS * middle:
         raise InputError(
             f"the point spread cannot be estimated: the spots' heights, {height.min():.2f} to {height.max():.2f} mm, "
             "do not show how defocus grows; tilt the board more"
         )
-    focus = np.clip(-slope / (2 * curvature), height.min(), height.max())
+    focus = np.clip(height.mean() - slope / (2 * curvature), height.min(), height.max())
     return np.array([np.log(0.5), np.log(2 * np.sqrt(curvature)), focus, 0.0, 0.0, 0.0])
 
 

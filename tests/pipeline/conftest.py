@@ -1,4 +1,7 @@
-"""Pictures of a spot board made by casting rays, independent of the pipeline's camera model and of the twin."""
+"""Pictures of a spot board made by casting rays, independent of the pipeline's camera model and of the twin.
+
+And the camera's blur summed up in space on a fine grid: a code path of its own, without transfer functions.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -6,6 +9,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import pytest
+from scipy.signal import fftconvolve
+from scipy.special import j1
 
 from greenough.instrument.contract import SpotBoard
 
@@ -13,6 +18,7 @@ SUPERSAMPLING = 3
 WHITE_DN = 110.0
 LIT_PX = (10.84 * 101, 6.1 * 101)  # the lit field's width and height
 INK = 0.1
+BLUR_REACH_PX = 40
 
 # fx, fy, skew, cx, cy, k1, k2, p1, p2: near the paper's Table 2, with distortion of some tenths of a pixel.
 INTRINSICS = (22683.0, 22700.0, -1.0, 645.0, 470.0, -1.0, 0.0, -0.004, 0.003)
@@ -201,3 +207,26 @@ def imaged_circles() -> Callable[..., np.ndarray]:
 @pytest.fixture(scope="session")
 def imaged_points() -> Callable[..., np.ndarray]:
     return image_points
+
+
+def blur_in_space(light: np.ndarray, fine: int, cutoff_per_px: float, disc_radius_px: float) -> np.ndarray:
+    """What square pixels see of light on ``fine`` x ``fine`` sub-pixels each, real or complex, behind a lens.
+
+    The Airy pattern (2 J1(x) / x)², x = π cut-off r, has volume 1 over the whole plane; the disc of defocus is evenly
+    filled, its rim smoothed over one sub-pixel.
+    """
+    n = np.arange(-BLUR_REACH_PX * fine, BLUR_REACH_PX * fine + 1) / fine
+    distance = np.hypot(n, n[:, None])
+    x = np.maximum(np.pi * cutoff_per_px * distance, 1e-9)
+    light = fftconvolve(light, np.pi / 4 * (cutoff_per_px / fine) ** 2 * (2 * j1(x) / x) ** 2, mode="same")
+    if disc_radius_px > 0:
+        near = np.abs(n) <= disc_radius_px + 1
+        disc = np.clip((disc_radius_px - distance[np.ix_(near, near)]) * fine + 0.5, 0, 1)
+        light = fftconvolve(light, disc / disc.sum(), mode="same")
+    rows, cols = light.shape
+    return light.reshape(rows // fine, fine, cols // fine, fine).mean(axis=(1, 3))
+
+
+@pytest.fixture(scope="session")
+def blurred() -> Callable[..., np.ndarray]:
+    return blur_in_space

@@ -88,15 +88,14 @@ class Bench:
     def truth(self) -> Truth:
         """Trace the central ray of every pixel."""
         rows, cols = self._rig_file.camera.shape
-        optics = self.settings.optics
         mirror_rows, mirror_cols = self._rig_file.projector.shape
         blank = np.zeros((1, mirror_rows, mirror_cols), np.uint8)
         scene = mi.load_dict(
             {
                 "type": "scene",
                 "embree_use_robust_intersections": True,
-                "sensor": camera_dict(optics, (rows, cols)),
-                "projector": projector_dict(optics, blank),
+                "sensor": camera_dict(self.settings, (rows, cols)),
+                "projector": projector_dict(self.settings, blank),
             }
             | specimen_dict(self._workbench.parts_in_twin(), self.settings.render)
         )

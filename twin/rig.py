@@ -201,7 +201,7 @@ class Renderer:
         self._settings = settings
         self._workbench = workbench
         self._kept: tuple[tuple[object, ...], list[mi.Float]] | None = None
-        self._sensor = mi.load_dict(camera_dict(settings.optics, self._shape))
+        self._sensor = mi.load_dict(camera_dict(settings, self._shape))
         self._projector: tuple[bytes, mi.Emitter] | None = None
 
     def radiance(self, patterns: np.ndarray, shift: np.ndarray | None = None) -> list[mi.Float]:
@@ -221,12 +221,12 @@ class Renderer:
     def scene_dict(self, patterns: np.ndarray) -> dict[str, Any]:
         """The scene with its own sensor and projector as dictionaries."""
         check_patterns(patterns, self._projector_shape)
-        projector = projector_dict(self._settings.optics, patterns)
-        return self._scene(projector) | {"sensor": camera_dict(self._settings.optics, self._shape)}
+        projector = projector_dict(self._settings, patterns)
+        return self._scene(projector) | {"sensor": camera_dict(self._settings, self._shape)}
 
     def _projector_for(self, patterns: np.ndarray, shift: np.ndarray, digest: bytes) -> mi.Emitter:
         if self._projector is None or self._projector[0] != digest:
-            self._projector = (digest, mi.load_dict(projector_dict(self._settings.optics, patterns, shift)))
+            self._projector = (digest, mi.load_dict(projector_dict(self._settings, patterns, shift)))
         return self._projector[1]
 
     def _scene(self, projector: object) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """The Mitsuba scene: both lens paths, the projector, the sensor, and the parts on the table with their materials."""
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -9,9 +10,13 @@ from greenough.scenes.materials import MATERIALS, Diffuse, Material, RoughConduc
 from greenough.scenes.parts import Part
 
 from . import plugins  # noqa: F401  registers the names used below
+from .glass.as_built import AssembledPath, Tolerances, assemble
+from .glass.placed import errors_to_json
+from .glass.prescription import load_prescription
 from .quadrature import designed_nodes
+from .randomness import instrument_rng
 from .renderer import mi
-from .settings import OpticsSettings, RenderSettings
+from .settings import AssemblySettings, OpticsSettings, RenderSettings, TwinSettings
 
 
 def axis_frame(angle: float, distance: float) -> np.ndarray:
@@ -28,14 +33,43 @@ def axis_frame(angle: float, distance: float) -> np.ndarray:
     return frame
 
 
-def camera_dict(optics: OpticsSettings, shape: tuple[int, int]) -> dict[str, Any]:
+@lru_cache(maxsize=4)
+def assembled(name: str, lean: float, sizes: AssemblySettings, seed: int) -> AssembledPath:
+    """The path "camera" or "projector" of one instrument in glass, its axis meant to lean by ``lean`` towards +x."""
+    tolerances = Tolerances(
+        sizes.decentre_um * 1e-3,
+        sizes.tilt_deg,
+        sizes.image_tilt_deg,
+        sizes.focus_um * 1e-3,
+        sizes.axis_deg,
+        sizes.pointing_um * 1e-3,
+    )
+    return assemble(load_prescription(name), lean, tolerances, instrument_rng(seed, f"{name} path"))
+
+
+def _lens(settings: TwinSettings, name: str) -> dict[str, Any]:
+    """What a lens's plugin is told about where it stands and which glass it has."""
+    optics = settings.optics
+    lean = np.radians(optics.convergence_deg) / 2 * {"camera": -1, "projector": 1}[name]
+    if not optics.glass:
+        return {"to_world": mi.ScalarTransform4f(axis_frame(lean, optics.pupil_distance_mm))}
+    built = assembled(name, float(lean), settings.assembly, settings.seed)
+    return {
+        "to_world": mi.ScalarTransform4f(built.twin_from_pupil),
+        "prescription": name,
+        "glass_errors": errors_to_json(built.errors),
+    }
+
+
+def camera_dict(settings: TwinSettings, shape: tuple[int, int]) -> dict[str, Any]:
     """The camera path as a ``lens_sensor``; ``shape`` is (rows, cols)."""
+    optics = settings.optics
     distance = optics.pupil_distance_mm
     wavelength = optics.wavelength_um * 1e-3 if optics.camera_diffraction else 0.0
     film = {"type": "hdrfilm", "width": shape[1], "height": shape[0], "pixel_format": "luminance"}
     return {
         "type": "lens_sensor",
-        "to_world": mi.ScalarTransform4f(axis_frame(-np.radians(optics.convergence_deg) / 2, distance)),
+        **_lens(settings, "camera"),
         "focal_length_px": optics.camera_focal_px,
         "focus_distance": distance,
         "aperture_radius": optics.na * distance if optics.finite_aperture else 0.0,
@@ -45,15 +79,18 @@ def camera_dict(optics: OpticsSettings, shape: tuple[int, int]) -> dict[str, Any
     }
 
 
-def projector_dict(optics: OpticsSettings, patterns: np.ndarray, shift: np.ndarray | None = None) -> dict[str, Any]:
+def projector_dict(settings: TwinSettings, patterns: np.ndarray, shift: np.ndarray | None = None) -> dict[str, Any]:
     """The projector path as a ``lens_projector`` that shows ``patterns``, (N, rows, cols) uint8, moved by ``shift``.
 
     The mirrors' band limit stays when the aperture is switched off: without it the lattice itself would be projected.
     """
+    optics = settings.optics
     distance = optics.pupil_distance_mm
     return {
         "type": "lens_projector",
-        "to_world": mi.ScalarTransform4f(axis_frame(np.radians(optics.convergence_deg) / 2, distance)),
+        **_lens(settings, "projector"),
+        "wavelength_um": optics.wavelength_um,
+        "bandwidth_um": settings.light.bandwidth_um if optics.glass else 0.0,
         "patterns": mi.TensorXf(patterns.astype(np.float32)),
         "pattern_shift": mi.TensorXf((np.zeros((len(patterns), 2)) if shift is None else shift).astype(np.float32)),
         "column_pitch": optics.column_pitch_um * 1e-3,

@@ -21,9 +21,13 @@ Size = Annotated[float, Field(ge=0, le=1e4)]
 
 
 class OpticsSettings(BaseModel):
-    """Two ideal off-axis lens paths; all lengths are at the specimen."""
+    """Two off-axis lens paths; all lengths are at the specimen.
+
+    Through ``glass`` the prescriptions of ``greenough.twin.glass`` decide on pupils, focus and aperture.
+    """
 
     model_config = _STRICT
+    glass: bool = False  # false: ideal lenses, whose paths stand where they should
     na: Annotated[float, Field(gt=0, le=0.019)] = 0.015  # above, the mirrors' lattice itself would be projected
     wavelength_um: Annotated[float, Field(gt=0.2, lt=2)] = 0.525
     convergence_deg: Annotated[float, Field(gt=1, lt=60)] = 12.0
@@ -37,6 +41,18 @@ class OpticsSettings(BaseModel):
     off_state: Annotated[float, Field(ge=0, lt=0.5)] = 0.001
 
 
+class AssemblySettings(BaseModel):
+    """Standard deviations per axis of how the paths in glass were put together, see ``glass.as_built.Tolerances``."""
+
+    model_config = _STRICT
+    decentre_um: Annotated[float, Field(ge=0, le=300)] = 30.0
+    tilt_deg: Annotated[float, Field(ge=0, le=1)] = 0.05
+    image_tilt_deg: Annotated[float, Field(ge=0, le=5)] = 0.3
+    focus_um: Annotated[float, Field(ge=0, le=1000)] = 100.0
+    axis_deg: Annotated[float, Field(ge=0, le=2)] = 0.2
+    pointing_um: Annotated[float, Field(ge=0, le=500)] = 50.0
+
+
 class LightSettings(BaseModel):
     """Electrons per ms that a white Lambertian surface gives a pixel in the middle of the field.
 
@@ -46,6 +62,7 @@ class LightSettings(BaseModel):
     model_config = _STRICT
     white_electrons_per_ms: Annotated[float, Field(gt=0, le=1e6)] = 75.0
     ambient: Annotated[float, Field(ge=0, le=1)] = 0.00625
+    bandwidth_um: Annotated[float, Field(ge=0, le=0.1)] = 0.030  # full width at half maximum; glass alone sees it
 
 
 class CameraSettings(BaseModel):
@@ -109,6 +126,7 @@ class TwinSettings(BaseModel):
     model_config = _STRICT
     seed: Annotated[int, Field(ge=0, le=2**32 - 1)] = 1
     optics: OpticsSettings = OpticsSettings()
+    assembly: AssemblySettings = AssemblySettings()
     light: LightSettings = LightSettings()
     camera: CameraSettings = CameraSettings()
     stage: StageSettings = StageSettings()

@@ -193,7 +193,7 @@ def test_a_smooth_picture_is_diffracted_as_pixel_and_airy_pattern_would():
 def test_a_pixels_rays_are_spread_over_a_box_or_a_tent(diffraction):
     camera = sensor(principal_point_px=mi.ScalarPoint2f(3.0, 2.0), **diffraction)
     u = (np.arange(20_000) + 0.5) / 20_000
-    ray = camera.pixel_ray(mi.Float(3.0), mi.Float(2.0), mi.Point2f(u.astype(np.float32), 0.5), mi.Point2f(0.5))
+    ray, _ = camera.pixel_ray(mi.Float(3.0), mi.Float(2.0), mi.Point2f(u.astype(np.float32), 0.5), mi.Point2f(0.5))
     x = -np.array(ray.d.x / ray.d.z) * FOCAL_PX
     for cycles in (0.1, 0.5, 0.9):
         transfer = np.cos(2 * np.pi * cycles * x).mean()

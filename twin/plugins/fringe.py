@@ -34,6 +34,8 @@ from functools import partial
 import cv2
 import numpy as np
 
+from ..glass.paraxial import DESIGN_WAVELENGTH_UM
+from ..glass.spectrum import Spectrum
 from ..quadrature import nodes
 from ..renderer import dr, mi
 from .guiding import Guide, look_around
@@ -83,12 +85,12 @@ class FringeIntegrator(mi.SamplingIntegrator):
         nodes_indirect = max(2, self.nodes_indirect * nodes_direct // self.nodes)
         with dr.suspend_grad():
             trace = partial(self._visible, scene)
-            channels = self._accumulate(sensor, seed, nodes_direct, False, trace, _channels(scene))
+            channels = self._accumulate(scene, sensor, seed, nodes_direct, False, trace)
             if self.bounces > 1:
                 dr.eval(channels)
                 guide = self._guide(scene, sensor) if self.guided else None
                 trace = partial(self._indirect, scene, guide)
-                more = self._accumulate(sensor, seed, nodes_indirect, True, trace, _channels(scene))
+                more = self._accumulate(scene, sensor, seed, nodes_indirect, True, trace)
                 if self.smoothing:
                     more = self._smoothed(more, scene, sensor)
                 channels = [c + m for c, m in zip(channels, more, strict=True)]
@@ -97,7 +99,7 @@ class FringeIntegrator(mi.SamplingIntegrator):
         return _diffracted(channels, lit, sensor) if _border(sensor) else channels
 
     @dr.syntax
-    def _accumulate(self, sensor, seed, count, indirect, trace, n_channels):
+    def _accumulate(self, scene, sensor, seed, count, indirect, trace):
         """Mean of ``trace`` over ``count`` nodes, N arrays."""
         dimensions = DIMENSIONS_CAMERA + DIMENSIONS_LIGHT
         if dr.hint(indirect, mode="scalar"):
@@ -114,28 +116,32 @@ class FringeIntegrator(mi.SamplingIntegrator):
             shift = [rng.next_float32() for _ in range(dimensions)]
         else:
             shift = [mi.Float(0) for _ in range(dimensions)]
+        shift_of_colour = rng.next_float32() if self.shift_per_pixel else 0.0
 
-        total = [mi.Float(0) for _ in range(n_channels)]
+        total = [mi.Float(0) for _ in range(_channels(scene))]
         i, end = mi.UInt32(0), dr.opaque(mi.UInt32, count)
         while i < end:
             u = []
             for j in range(dimensions):
                 at = dr.gather(mi.Float, table, i * dimensions + j) + shift[j]
                 u.append(at - dr.floor(at))
-            ray, weight = _camera_ray(sensor, pixel, mi.Point2f(u[0], u[1]), mi.Point2f(u[2], u[3]))
-            path = trace(ray, weight, pixel, mi.Point2f(u[4], u[5]), u[6:])
+            colour = _colour(scene, i, count, shift_of_colour)
+            ray, weight = _camera_ray(sensor, pixel, mi.Point2f(u[0], u[1]), mi.Point2f(u[2], u[3]), colour)
+            path = trace(ray, weight, pixel, mi.Point2f(u[4], u[5]), colour, u[6:])
             for k in range(len(total)):
                 total[k] += path[k]
             i += 1
         return [t / count for t in total]
 
     def _guide(self, scene: mi.Scene, sensor: mi.Sensor) -> Guide:
-        middle = mi.Point2f(0.5)
+        middle, colour = mi.Point2f(0.5), _spectrum(scene).centre_um
         return look_around(
             scene,
             _size(sensor),
             lambda pixel: _camera_ray(sensor, pixel, middle, middle)[0],
-            lambda si, ray, active: _direct(scene, si, ray, mi.Float(1), active, middle, white=True)[0],
+            lambda si, ray, active: _direct(
+                scene, si, ray, mi.Float(1), active, middle, _spectrum(scene).centre_um, white=True
+            )[0],
         )
 
     def _smoothed(self, channels: list[mi.Float], scene: mi.Scene, sensor: mi.Sensor) -> list[mi.Float]:
@@ -145,20 +151,21 @@ class FringeIntegrator(mi.SamplingIntegrator):
         dr.eval(channels, si)
         return smoothed(channels, si, size, self.smoothing)
 
-    def _visible(self, scene, ray, throughput, pixel, pupil, u):
+    def _visible(self, scene, ray, throughput, pixel, pupil, colour, u):
         """Radiance of what a ray sees, lit directly, and of emitters it hits: N values."""
         si = scene.ray_intersect(ray, mi.RayFlags.All, coherent=True)
         glow = throughput * si.emitter(scene).eval(si)[0]
-        return [light + glow for light in _direct(scene, si, ray, throughput, si.is_valid(), pupil)]
+        return [light + glow for light in _direct(scene, si, ray, throughput, si.is_valid(), pupil, colour)]
 
-    def _indirect(self, scene, guide, ray, throughput, pixel, pupil, u):
+    def _indirect(self, scene, guide, ray, throughput, pixel, pupil, colour, u):
         """Radiance that reaches the first surface by way of others: N values."""
         si = scene.ray_intersect(ray, mi.RayFlags.All, coherent=True)
         active = si.is_valid()
         result = [mi.Float(0) for _ in range(_channels(scene))]
         if guide is not None:
             tile = guide.tile(pixel)
-            result = _guided(scene, guide, tile, si, ray, throughput, active, pupil, mi.Point2f(u[-2], u[-1]))
+            direction = mi.Point2f(u[-2], u[-1])
+            result = _guided(scene, guide, tile, si, ray, throughput, active, pupil, colour, direction)
         for bounce in range(self.bounces - 1):
             lobe, x, y = u[DIMENSIONS_BOUNCE * bounce : DIMENSIONS_BOUNCE * (bounce + 1)]
             sample, factor = si.bsdf(ray).sample(mi.BSDFContext(), si, lobe, mi.Point2f(x, y), active)
@@ -174,7 +181,7 @@ class FringeIntegrator(mi.SamplingIntegrator):
                     density = guide.density(tile, seen_from, si, active & ~delta)
                     density = dr.select(guide.sees(scene, tile, si, density > 0), density, 0.0)
                     throughput = throughput * pdf / (pdf + density)
-                return _direct(scene, si, ray, throughput, active, pupil)
+                return _direct(scene, si, ray, throughput, active, pupil, colour)
 
             # Most paths leave the specimen here: whole vectors of lanes skip the look-up of the patterns.
             arriving = dr.if_stmt(
@@ -201,14 +208,18 @@ def _size(sensor: mi.Sensor) -> tuple[int, int]:
 
 
 def _camera_ray(
-    sensor: mi.Sensor, pixel: mi.UInt32, within: mi.Point2f, pupil: mi.Point2f
+    sensor: mi.Sensor,
+    pixel: mi.UInt32,
+    within: mi.Point2f,
+    pupil: mi.Point2f,
+    colour: mi.Float | float = DESIGN_WAVELENGTH_UM,
 ) -> tuple[mi.Ray3f, mi.Float]:
     """The ray of a pixel of what is rendered, counted along rows, and its weight."""
     cols, rows = _size(sensor)
     column, row = mi.Float(pixel % cols), mi.Float(pixel // cols)
     if isinstance(sensor, LensSensor):
         offset, border = sensor.film().crop_offset(), _border(sensor)
-        return sensor.pixel_ray(column + offset.x - border, row + offset.y - border, within, pupil), mi.Float(1)
+        return sensor.pixel_ray(column + offset.x - border, row + offset.y - border, within, pupil, colour)
     film = mi.Point2f((column + within.x) / cols, (row + within.y) / rows)
     ray, weight = sensor.sample_ray(0.0, 0.5, film, pupil)
     return mi.Ray3f(ray), mi.Float(weight[0])
@@ -259,7 +270,7 @@ def _stretch(lit: np.ndarray, border: int) -> slice:
     return slice(first, first + length)
 
 
-def _guided(scene, guide, tile, si, ray, throughput, active, pupil, u):
+def _guided(scene, guide, tile, si, ray, throughput, active, pupil, colour, u):
     """Light by way of a surface that the guide proposes, N values: its share in that of one interreflection."""
     bsdf = si.bsdf(ray)
     proposed = guide.sample(tile, u, active)
@@ -274,7 +285,7 @@ def _guided(scene, guide, tile, si, ray, throughput, active, pupil, u):
         active &= ~scene.ray_test(to, coherent=False, active=active)
         other.wi = other.to_local(-to.d)
         share = dr.select(active, throughput * reflected[0] / (density + pdf), 0.0)
-        return _direct(scene, other, to, share, active, pupil)
+        return _direct(scene, other, to, share, active, pupil, colour)
 
     return dr.if_stmt(
         args=(si, other, throughput, active),
@@ -284,14 +295,29 @@ def _guided(scene, guide, tile, si, ray, throughput, active, pupil, u):
     )
 
 
-def _direct(scene, si, ray, throughput, active, pupil, white=False):
+def _spectrum(scene: mi.Scene) -> Spectrum:
+    """Of the projector's light."""
+    found = [emitter.spectrum for emitter in scene.emitters() if isinstance(emitter, LensProjector)]
+    return found[0] if found else Spectrum(DESIGN_WAVELENGTH_UM, 0.0)
+
+
+def _colour(scene: mi.Scene, i: mi.UInt32, count: int, shift: mi.Float | float) -> mi.Float | float:
+    """Wavelength in µm of node ``i``: of equal shares of the projector's spectrum each node takes one."""
+    spectrum = _spectrum(scene)
+    if spectrum.fwhm_um == 0:
+        return spectrum.centre_um
+    u = mi.Float(dr.brev(i)) * 2.0**-32 + 0.5 / count + shift
+    return spectrum.wavelength_um(u - dr.floor(u))
+
+
+def _direct(scene, si, ray, throughput, active, pupil, colour, white=False):
     """Light of all emitters reflected at one surface point, N values; projectors may show ``white`` instead."""
     context = mi.BSDFContext()
     bsdf = si.bsdf(ray)
     result = [mi.Float(0) for _ in range(_channels(scene))]
     for emitter in scene.emitters():
         if isinstance(emitter, LensProjector):
-            point, column, row, irradiance = emitter.aim(si.p, pupil)
+            point, column, row, irradiance = emitter.aim(si.p, pupil, colour)
             direction = dr.normalize(mi.Vector3f(point - si.p))
             facing = active & (dr.dot(si.n, direction) > 0)
             reflected = bsdf.eval(context, si, si.to_local(direction), facing)[0]

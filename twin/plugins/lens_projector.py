@@ -1,4 +1,4 @@
-"""A pattern projector behind an ideal lens of finite aperture, with the mirrors' shape and diffraction.
+"""A pattern projector behind an ideal lens of finite aperture or behind glass, with mirrors' shape and diffraction.
 
 .. pluginparameters::
 
@@ -26,14 +26,21 @@
      limit.
  * - irradiance: float
      Irradiance of a white pattern in the focused plane, on a surface perpendicular to the axis (default: 1).
+ * - prescription, glass_errors, pupil_nodes:
+     Glass in place of the ideal lens, as with ``lens_sensor`` (default: none).
+ * - wavelength_um, bandwidth_um: float
+     Middle and full width at half maximum of the light that passes the glass (default: 0.525 and 0).
 
 The light of a white pattern on planes perpendicular to the axis is constant over the field, as it is with Mitsuba's
-``projector``: an ideal lens has no natural vignetting.
+``projector``: an ideal lens has no natural vignetting. Through glass it is that of a uniformly bright array.
 """
 
 import numpy as np
 
 from ..dmd import Mirrors, band_limited, square_pixels
+from ..glass.mounting import mount
+from ..glass.paraxial import DESIGN_WAVELENGTH_UM
+from ..glass.spectrum import Spectrum
 from ..renderer import dr, mi
 
 PACKET = 4  # values that one gather reads
@@ -58,6 +65,13 @@ class LensProjector(mi.Emitter):
         self.na = float(props.get("diffraction_na", self.aperture / self.focus))
         self.mirrors = Mirrors(*self.pitch, float(props.get("fill", 0.92)), float(props.get("off_state", 0.0)))
         shift = np.array(props["pattern_shift"]) if "pattern_shift" in props else None
+        self.spectrum = Spectrum(
+            float(props.get("wavelength_um", DESIGN_WAVELENGTH_UM)), float(props.get("bandwidth_um", 0.0))
+        )
+        self.glass = None
+        if "prescription" in props:
+            errors = props.get("glass_errors", "")
+            self.glass = mount(props["prescription"], errors, outwards=True, nodes=int(props.get("pupil_nodes", 16)))
         self.set_patterns(np.array(props["patterns"]).astype(np.uint8), shift)
 
     def set_patterns(self, patterns: np.ndarray, shift: np.ndarray | None = None) -> None:
@@ -77,14 +91,22 @@ class LensProjector(mi.Emitter):
         self.row_profile = mi.Float(table.row_profile)
         self.origin, self.cells, self.interpolate = table.origin, table.cells, table.interpolate
 
-    def aim(self, p: mi.Point3f, sample: mi.Point2f) -> tuple[mi.Point3f, mi.Float, mi.Float, mi.Float]:
+    def aim(
+        self, p: mi.Point3f, sample: mi.Point2f, wavelength_um: mi.Float | float = DESIGN_WAVELENGTH_UM
+    ) -> tuple[mi.Point3f, mi.Float, mi.Float, mi.Float]:
         """Trace the scene point ``p`` back through a point of the pupil to the mirrors.
 
         Returns the pupil point in the world, the column and row on the array, and the irradiance at ``p`` of a white
         pattern on a surface that faces that pupil point.
         """
         local = self.to_local @ p
-        disk = mi.warp.square_to_uniform_disk_concentric(sample) * self.aperture
+        disk = mi.warp.square_to_uniform_disk_concentric(sample)
+        if self.glass is not None:
+            disk *= float(self.aperture > 0)
+            pupil, at_x, at_y, white = self.glass.look_up(local, disk, wavelength_um)
+            column, row = self.middle[0] + at_x / self.pitch[0], self.middle[1] + at_y / self.pitch[1]
+            return self.to_world @ pupil, column, row, dr.select(local.z > 0, self.irradiance * white, 0.0)
+        disk *= self.aperture
         pupil = mi.Point3f(disk.x, disk.y, 0)
         reach = self.focus / local.z
         at_x = dr.fma(local.x - pupil.x, reach, pupil.x)

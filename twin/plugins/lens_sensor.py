@@ -1,4 +1,4 @@
-"""A camera behind an ideal lens of finite aperture, with square pixels and diffraction.
+"""A camera behind an ideal lens of finite aperture or behind glass, with square pixels and diffraction.
 
 Any integrator may sample its rays, which are spread over the pixel and the Airy pattern around it. The pattern's skirt
 is wide: a few fixed rays cannot stand for it. An integrator that knows this sensor takes the rays of ``pixel_ray`` and
@@ -23,6 +23,13 @@ passes the finished picture through ``diffract``.
  * - diffraction_na: float
      Numerical aperture for the diffraction, where it is not aperture_radius / focus_distance (a pinhole that still
      diffracts like the lens it stands for).
+ * - prescription: string
+     "camera" or a TOML file of ``greenough.twin.glass``: glass in place of the ideal lens (default: none). Focus and
+     aperture are then the prescription's, but an aperture_radius of 0 leaves only rays through the stop's middle.
+ * - glass_errors: string
+     As-built errors of the glass as JSON, see ``greenough.twin.glass.placed.errors_to_json`` (default: none).
+ * - pupil_nodes: integer
+     How many rays share the pupil: a rim that cuts through the share of one dims it (default: 16).
 """
 
 from functools import lru_cache
@@ -31,6 +38,8 @@ import cv2
 import numpy as np
 
 from ..diffraction import pixel_response, response_after_tent
+from ..glass.mounting import mount
+from ..glass.paraxial import DESIGN_WAVELENGTH_UM
 from ..renderer import dr, mi
 
 BORDER = 32  # pixels around a picture whose light reaches into it
@@ -61,6 +70,10 @@ class LensSensor(mi.Sensor):
             marginal, conditional = pixel_response(*self.diffraction)
             self.response = (mi.Float(marginal), mi.Float(conditional.ravel()), conditional.shape)
         self.m_needs_sample_3 = self.aperture > 0
+        self.glass = None
+        if "prescription" in props:
+            errors = props.get("glass_errors", "")
+            self.glass = mount(props["prescription"], errors, outwards=False, nodes=int(props.get("pupil_nodes", 16)))
 
     def displacement(self, u: mi.Float, v: mi.Float) -> tuple[mi.Float, mi.Float]:
         """Where in units of pixels the light of a pixel comes from, for a sample (u, v) of the unit square."""
@@ -80,17 +93,24 @@ class LensSensor(mi.Sensor):
         at_x, at_y = sample2.x * cols, sample2.y * rows
         column, row = dr.floor(at_x), dr.floor(at_y)
         du, dv = self.displacement(at_x - column, at_y - row)
-        ray = self._ray(column + self.offset[0] + du, row + self.offset[1] + dv, sample3)
+        ray, weight = self._ray(column + self.offset[0] + du, row + self.offset[1] + dv, sample3, DESIGN_WAVELENGTH_UM)
         ray.time = time
-        return ray, mi.Spectrum(1.0)
+        return ray, mi.Spectrum(weight)
 
-    def pixel_ray(self, column: mi.Float, row: mi.Float, within: mi.Point2f, sample: mi.Point2f) -> mi.Ray3f:
-        """A ray of the pixel (column, row) of the film, for samples of its area and of the pupil; its weight is 1.
+    def pixel_ray(
+        self,
+        column: mi.Float,
+        row: mi.Float,
+        within: mi.Point2f,
+        sample: mi.Point2f,
+        wavelength_um: mi.Float | float = DESIGN_WAVELENGTH_UM,
+    ) -> tuple[mi.Ray3f, mi.Float]:
+        """A ray of the pixel (column, row) of the film and its weight, for samples of its area and of the pupil.
 
         Without diffraction the area is the pixel. With it, it is a tent two pixels wide: ``diffract`` does the rest.
         """
         spread = _tent if self.diffraction else _box
-        return self._ray(column + spread(within.x), row + spread(within.y), sample)
+        return self._ray(column + spread(within.x), row + spread(within.y), sample, wavelength_um)
 
     def diffract(self, picture: np.ndarray) -> np.ndarray:
         """Pixels and Airy pattern from a picture, (rows, cols) float32, that was taken with ``pixel_ray``.
@@ -104,18 +124,27 @@ class LensSensor(mi.Sensor):
         spectrum *= _transfer(picture.shape, self.diffraction)
         return cv2.dft(spectrum, flags=cv2.DFT_INVERSE | cv2.DFT_SCALE | cv2.DFT_REAL_OUTPUT)
 
-    def _ray(self, x: mi.Float, y: mi.Float, sample: mi.Point2f) -> mi.Ray3f:
-        """A ray through the focused image of (x, y), in pixels of the film, from a sample of the pupil."""
-        scale = -self.focus / self.focal
-        target = mi.Point3f((x - self.centre[0]) * scale, (y - self.centre[1]) * scale, mi.Float(self.focus))
-        pupil = mi.warp.square_to_uniform_disk_concentric(sample) * self.aperture
-        origin = mi.Point3f(pupil.x, pupil.y, 0)
+    def _ray(
+        self, x: mi.Float, y: mi.Float, sample: mi.Point2f, wavelength_um: mi.Float | float
+    ) -> tuple[mi.Ray3f, mi.Float]:
+        """A ray of (x, y), in pixels of the film, from a sample of the pupil, and its weight."""
+        disk = mi.warp.square_to_uniform_disk_concentric(sample)
+        scale = self.focus / self.focal
+        at_x, at_y = (x - self.centre[0]) * scale, (y - self.centre[1]) * scale
+        if self.glass is None:
+            pupil = disk * self.aperture
+            origin = mi.Point3f(pupil.x, pupil.y, 0)
+            direction = mi.Vector3f(dr.normalize(mi.Point3f(-at_x, -at_y, mi.Float(self.focus)) - origin))
+            weight = mi.Float(1)
+        else:
+            disk *= float(self.aperture > 0)
+            origin, direction, weight = self.glass.ray(at_x, at_y, disk, wavelength_um)
         ray = mi.Ray3f()
         ray.time = 0.0
         ray.o = self.to_world @ origin
-        ray.d = self.to_world @ mi.Vector3f(dr.normalize(target - origin))
+        ray.d = self.to_world @ direction
         ray.maxt = dr.largest(mi.Float)
-        return ray
+        return ray, weight
 
     def sample_ray_differential(self, time, sample1, sample2, sample3, active=True):
         """As ``sample_ray``; the differentials are rays of the neighbouring pixels."""

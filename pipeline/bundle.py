@@ -37,10 +37,10 @@ _LEAST_PRINT_SD_MM = 1e-4
 _FRAME_SD_MM = 1e-7  # holds the print where the frame has it
 
 _START_SD = np.array([0.02, 0.003, 0.001])  # of centres (px), spots' phases and blocks (rad), until the residuals tell
-_LEAST_SD = np.array([1e-4, 1e-6, 1e-6])
+_LEAST_SD = np.array([1e-3, 1e-4, 5e-5])  # some 10 nm: where pictures are perfect, the model is not
 _OUTLIER = 5.0  # standard deviations
 _LEAST_SHARE = 0.02  # of an observation's variance that its residual has
-_ROUNDS = 8  # of solving, then weighting anew, unless the outliers stay the same
+_ROUNDS = 6  # of solving, then weighting anew, unless the outliers stay the same
 _ITERATIONS = 30
 _CONVERGED = 1e-4  # squared length of a step in standard deviations
 
@@ -300,7 +300,8 @@ def _reweighted(problem: _Problem, state: BundleState, weights: _Weights, inform
     for kind in (CENTRES, SPOT_PHASES, BLOCKS):
         chosen = [used & (which == kind) for used, which in zip(kept, kinds, strict=True)]
         normalised = [r / np.sqrt(v * s) for r, v, s in zip(residuals, weights.variance, shares, strict=True)]
-        typical = np.median(np.abs(_picked(normalised, chosen))) / 0.6745
+        least = _LEAST_SD[kind] / np.sqrt(np.median(_picked(weights.variance, chosen)))
+        typical = max(np.median(np.abs(_picked(normalised, chosen))) / 0.6745, least)
         for used, here, values in zip(kept, chosen, normalised, strict=True):
             used[here] = np.abs(values[here]) < _OUTLIER * typical
         chosen = [used & here for used, here in zip(kept, chosen, strict=True)]

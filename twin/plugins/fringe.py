@@ -139,9 +139,7 @@ class FringeIntegrator(mi.SamplingIntegrator):
             scene,
             _size(sensor),
             lambda pixel: _camera_ray(sensor, pixel, middle, middle)[0],
-            lambda si, ray, active: _direct(
-                scene, si, ray, mi.Float(1), active, middle, _spectrum(scene).centre_um, white=True
-            )[0],
+            lambda si, ray, active: _direct(scene, si, ray, mi.Float(1), active, middle, colour, white=True)[0],
         )
 
     def _smoothed(self, channels: list[mi.Float], scene: mi.Scene, sensor: mi.Sensor) -> list[mi.Float]:

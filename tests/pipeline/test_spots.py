@@ -51,6 +51,12 @@ def test_scatter_is_near_the_bound_for_a_known_even_light(postures, spot_board):
         assert bound < np.nanstd(errors) < 1.8 * bound
 
 
+def test_blur_is_that_of_the_optics_and_of_the_pixels_box(postures):
+    """Variances add: 1.3² px² of the painted blur, 1/12 px² of the box."""
+    blur = np.concatenate([spots.blur_px[spots.seen] for _, spots in postures])
+    assert np.median(blur) == pytest.approx(np.sqrt(1.3**2 + 1 / 12), rel=0.02)
+
+
 def test_semi_axes_are_those_of_the_projected_circles_less_what_blur_takes(postures, spot_board):
     """Blurring a disc moves the level of half its contrast inwards by blur² / 2R."""
     flat, spots = postures[-1]

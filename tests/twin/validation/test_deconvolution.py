@@ -115,11 +115,11 @@ def test_metal_without_noise_is_right_within_a_micrometre(sample):
     clean, _, truth, _, where = judged(sample)
     before, after = (1e3 * (heights(each) - truth)[where] for each in (clean, deconvolved(clean)))
     assert rms(before) > 5.0
-    assert rms(after) < 0.6
+    assert rms(after) < 1.0
     assert abs(after.mean()) < 0.2
 
 
-@pytest.mark.parametrize(("slopes", "limit_um"), [((5, 15), 0.5), ((15, 30), 0.7), ((30, 45), 1.0)])
+@pytest.mark.parametrize(("slopes", "limit_um"), [((5, 15), 0.6), ((15, 30), 1.0), ((30, 45), 1.5)])
 def test_walls_of_solder_balls(slopes, limit_um):
     clean, _, truth, slope, where = judged("bga")
     wall = where & (slope >= slopes[0]) & (slope < slopes[1])

@@ -17,10 +17,12 @@ from .calibration import Calibration, Method
 from .calibration_data import CalibrationData
 from .camera_calibration import MIN_POSTURES, calibrate_camera
 from .decode import PhaseMap, decode
+from .deconvolution import deconvolve_phasors
 from .exposure import auto_exposure, capture_bracketed
 from .fringes import FringeSet
 from .paper_method import calibrate_by_paper
 from .phasor_filter import filter_phasors
+from .point_spread import estimate_point_spread
 from .reconstruct import PointMap, reconstruct
 from .spot_grid import MIN_SPOTS
 from .spots import BoardNotFound, Spots, detect_spots
@@ -128,6 +130,11 @@ def _acquire(
         spot_phases = tuple(measured for _, measured in found.values())
         if needs_spot_phases:
             check_spot_phases(spot_phases)
+    try:
+        point_spread = estimate_point_spread(spots, camera, rig.board)
+    except InputError as error:
+        _log.warning("measurements cannot be deconvolved: %s", error)
+        point_spread = None
 
     # The blank side first lies where the printed one lay, before the stage moves: this is z = 0 of both.
     phase_at_zero, _ = acquire.plane(ZERO, 0.0)
@@ -145,6 +152,7 @@ def _acquire(
         spot_phases=spot_phases,
         missing=missing,
         camera=camera,
+        point_spread=point_spread,
         phase_at_zero=phase_at_zero,
         phases=phases,
         readings_mm=readings,
@@ -157,6 +165,7 @@ def measure(
     placement: Placement,
     brackets: Sequence[float] = (1.0,),
     filter_fwhm_px: float | None = None,
+    deconvolve: bool = False,
 ) -> PointMap:
     """Measure one part.
 
@@ -174,16 +183,38 @@ def measure(
         limits are left out, with a warning.
     filter_fwhm_px : float, optional
         Width of a Gaussian on the phasors; nothing is filtered unless it is given.
+    deconvolve : bool
+        Free the phase from the drag towards brighter neighbours: for metal and solder.
 
     Raises
     ------
     InputError
-        If the calibration is of another rig or camera size, or shares its exposures with this measurement.
+        If the calibration is of another rig or camera size, or shares its exposures with this measurement, or holds no
+        point spread to deconvolve with.
     """
     phase_map = measure_phase(rig, calibration, placement, brackets)
+    if deconvolve:
+        phase_map = deconvolved(phase_map, calibration)
     if filter_fwhm_px is not None:
         phase_map = filter_phasors(phase_map, filter_fwhm_px)
     return reconstruct(phase_map, calibration)
+
+
+def deconvolved(phase_map: PhaseMap, calibration: Calibration) -> PhaseMap:
+    """A phase map freed from the drag of blur times brightness, with the calibration's point spread.
+
+    Raises
+    ------
+    InputError
+        If the calibration holds none.
+    """
+    if calibration.point_spread is None:
+        raise InputError(
+            "the calibration holds no point spread to deconvolve with: its postures showed too few spots, or all at "
+            "one height; calibrate with more of them."
+        )
+    heights = reconstruct(phase_map, calibration).xyz[..., 2]
+    return deconvolve_phasors(phase_map, calibration.point_spread, heights)
 
 
 def measure_phase(

@@ -58,6 +58,7 @@ def calibrate_by_bundle(data: CalibrationData) -> Calibration:
         procedure=data.procedure,
         run=data.run,
         exposures=data.exposures,
+        point_spread=data.point_spread,
         figures=_figures(data, bundle, heights, int(relation.valid.sum()), planes.blocks_um),
         residuals=Residuals(
             centres_px=np.array([spots.centres_px for spots in data.spots]),

@@ -19,6 +19,7 @@ from .imaging_path import ImagingPath
 from .instrument_model import InstrumentModel
 from .legendre_field import DepthField
 from .phase_height import PhaseHeight
+from .point_spread import PointSpread
 from .projector_model import ProjectorModel
 from .rays import Rays
 
@@ -104,6 +105,8 @@ class Calibration:
     residuals : Residuals
     instrument : InstrumentModel or None
         The bundle's global model with its parameters' covariance; the paper's method has none.
+    point_spread : PointSpread or None
+        Of the camera; None where the spots were too few to tell.
     """
 
     method: Method
@@ -119,6 +122,7 @@ class Calibration:
     figures: Mapping[str, Any]
     residuals: Residuals
     instrument: InstrumentModel | None = None
+    point_spread: PointSpread | None = None
 
     @property
     def fringes(self) -> FringeSet:
@@ -161,6 +165,7 @@ class Calibration:
             "run": self.run,
             "exposures": self.exposures,
             "figures": dict(self.figures),
+            "point_spread": None if self.point_spread is None else asdict(self.point_spread),
         }
         with hdf5.create(path, KIND, VERSION) as file:
             hdf5.put(file, "document", json.dumps(document), "UTF-8 JSON")
@@ -183,6 +188,7 @@ class Calibration:
         with hdf5.read(path, KIND, VERSION) as file:
             document = json.loads(hdf5.get_text(file, "document"), object_hook=_with_tuples)
             camera, camera_from_world = CameraModel(**document["camera"]), hdf5.get(file, "camera_from_world")
+            spread = document["point_spread"]
 
             def arrays(group: str) -> dict[str, np.ndarray]:
                 return {name: hdf5.get(file, f"{group}/{name}") for name in _ARRAYS[group]}
@@ -201,6 +207,7 @@ class Calibration:
                 figures=document["figures"],
                 residuals=Residuals(**arrays("residuals")),
                 instrument=_get_instrument(file, camera, camera_from_world) if "instrument" in file else None,
+                point_spread=None if spread is None else PointSpread(**spread),
             )
 
 

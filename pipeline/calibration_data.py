@@ -8,6 +8,7 @@ from greenough.instrument.contract import Procedure, RigIdentity, SpotBoard
 
 from .bundle_data import SpotPhases
 from .camera_calibration import CameraCalibration
+from .point_spread import PointSpread
 from .spots import Spots
 
 
@@ -31,6 +32,8 @@ class CalibrationData:
         Postures in which the board was not found.
     camera : CameraCalibration
         From the spots at their nominal places; its reference is the flat posture.
+    point_spread : PointSpread or None
+        Of the camera; None where the spots were too few to tell.
     phase_at_zero : (rows, cols) float32
         Absolute phase of the blank side where the flat board lay, rad, NaN where invalid.
     phases : (planes, rows, cols) float32
@@ -48,6 +51,7 @@ class CalibrationData:
     spot_phases: tuple[SpotPhases, ...]
     missing: tuple[str, ...]
     camera: CameraCalibration
+    point_spread: PointSpread | None
     phase_at_zero: np.ndarray
     phases: np.ndarray
     readings_mm: np.ndarray

@@ -68,6 +68,9 @@ def measure(
     filter_fwhm_px: Annotated[
         float | None, typer.Option("--filter-fwhm-px", help="Gaussian on the phasors. [default: no filter]")
     ] = None,
+    deconvolve: Annotated[
+        bool, typer.Option("--deconvolve", help="Undo the drag of blur towards brighter neighbours: metal, solder.")
+    ] = False,
     run: Annotated[
         str | None, typer.Option("--run", metavar="NAME", help="Name of the run. [default: measure-SAMPLE]")
     ] = None,
@@ -83,7 +86,7 @@ def measure(
         progress(1, f"measuring {sample}", quiet=as_json) as advance,
     ):
         brackets = opened.procedure.brackets if bracket else (1.0,)
-        points = acquisition.measure(opened, loaded, placement, brackets, filter_fwhm_px)
+        points = acquisition.measure(opened, loaded, placement, brackets, filter_fwhm_px, deconvolve)
         advance(1)
     facts = {
         "unit": "mm",
@@ -93,6 +96,7 @@ def measure(
         "calibration": loaded.method,
         "calibration_run": loaded.run,
         "brackets": " ".join(f"{ratio:g}" for ratio in brackets),
+        "deconvolved": "yes" if deconvolve else "no",
         "filter": "none" if filter_fwhm_px is None else f"gaussian on phasors, fwhm {filter_fwhm_px:g} px",
     }
     cloud = PointCloud.from_point_map(points, facts=facts)

@@ -49,6 +49,7 @@ def calibrate_by_paper(data: CalibrationData) -> Calibration:
         procedure=data.procedure,
         run=data.run,
         exposures=data.exposures,
+        point_spread=data.point_spread,
         figures={
             "method": "paper",
             "postures_used": len(data.spots),

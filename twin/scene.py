@@ -33,7 +33,6 @@ def axis_frame(angle: float, distance: float) -> np.ndarray:
     return frame
 
 
-@lru_cache(maxsize=4)
 def assembled(name: str, lean: float, sizes: AssemblySettings, seed: int) -> AssembledPath:
     """The path "camera" or "projector" of one instrument in glass, its axis meant to lean by ``lean`` towards +x."""
     tolerances = Tolerances(
@@ -44,6 +43,11 @@ def assembled(name: str, lean: float, sizes: AssemblySettings, seed: int) -> Ass
         sizes.axis_deg,
         sizes.pointing_um * 1e-3,
     )
+    return _assembled(name, lean, tolerances, seed)
+
+
+@lru_cache(maxsize=4)
+def _assembled(name: str, lean: float, tolerances: Tolerances, seed: int) -> AssembledPath:
     return assemble(load_prescription(name), lean, tolerances, instrument_rng(seed, f"{name} path"))
 
 

@@ -26,6 +26,7 @@ def test_a_plane_with_too_little_phase_is_named(plane, which):
         spot_phases=(),
         missing=(),
         camera=anything,
+        point_spread=None,
         phase_at_zero=phases[0],
         phases=phases[1:],
         readings_mm=np.arange(10.0),

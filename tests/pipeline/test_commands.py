@@ -140,8 +140,8 @@ def measured(tmp_path, monkeypatch):
         asked.update(rig=name, overrides=list(overrides), **options)
         return Opened()
 
-    def measure(rig, calibration, placement, brackets, filter_fwhm_px):
-        asked.update(placement=placement, brackets=brackets, filter=filter_fwhm_px)
+    def measure(rig, calibration, placement, brackets, filter_fwhm_px, deconvolve):
+        asked.update(placement=placement, brackets=brackets, filter=filter_fwhm_px, deconvolve=deconvolve)
         return PointMap(np.ones((*shape, 3)))
 
     monkeypatch.setattr(commands, "open_rig", open_rig)
@@ -182,13 +182,15 @@ def test_measure_smooths_and_merges_nothing_unless_asked(measured):
 def test_measure_hands_over_what_was_asked_and_the_cloud_says_so(measured):
     code, asked, cloud = measured(
         *("--sample", "gear.stl", "--unit", "inch", "--pose", "1,2,0.5,0,0,90"),
-        *("--bracket", "--filter-fwhm-px", "2", "--set", "a.b=1", "--run", "friday"),
+        *("--bracket", "--deconvolve", "--filter-fwhm-px", "2", "--set", "a.b=1", "--run", "friday"),
     )
     assert code == 0
     assert (asked["placement"].part, asked["placement"].unit) == ("gear.stl", "inch")
     assert asked["placement"].pose_mm_deg == (1, 2, 0.5, 0, 0, 90)
     assert asked["brackets"] == (4.0, 1.0)
     assert asked["filter"] == 2.0
+    assert asked["deconvolve"]
+    assert cloud.facts["deconvolved"] == "yes"
     assert asked["overrides"] == ["a.b=1"]
     assert asked["run"] == cloud.facts["run"] == "friday"
     assert cloud.facts["brackets"] == "4 1"

@@ -37,9 +37,9 @@ def demonstrate(rig_name: str, overrides: Sequence[str], folder: Path, advance: 
     """Run the whole demo and leave its files in ``folder``.
 
     Both calibrations are made from the same exposures, and every measurement is evaluated by both. ``claims.json``,
-    ``calibration.h5`` (the bundle's) and ``calibration-paper.h5``, ``report.html``, and for each specimen ``NAME.ply``,
-    ``NAME-paper.ply`` and ``NAME-truth.ply``. An interrupted calibration goes on where it stopped; a finished one of
-    the same rig and settings is made again.
+    ``calibration.h5`` (the bundle's) and ``calibration-paper.h5``, ``report.html``, and the clouds and meshes of
+    ``measure_specimen``. An interrupted calibration goes on where it stopped; a finished one of the same rig and
+    settings is made again.
 
     Raises
     ------
@@ -63,10 +63,11 @@ def demonstrate(rig_name: str, overrides: Sequence[str], folder: Path, advance: 
         maps: list[SpecimenMaps] = []
         for name in SPECIMENS:
             measured = measure_specimen(setups, name, folder)
-            claims += _each(specimen_claims, setups, measured)
-            if name == "bga":
-                claims += _each(ball_claims, setups, measured)
-            maps.append(specimen_maps(measured[0]))
+            for setup, found in measured:
+                claims += specimen_claims(setup, found)
+                if name == "bga":
+                    claims += ball_claims(setup, found)
+            maps.append(specimen_maps(measured[0][1]))
             advance(4)
     facts = {"rig": rig_name, "settings": list(overrides)}
     write_claims(folder / "claims.json", claims, facts)

@@ -7,8 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from greenough.instrument.contract import Placement
-from greenough.pipeline.acquisition import measure_phase
+from greenough.pipeline.acquisition import deconvolved, measure_phase
 from greenough.pipeline.compare import Comparison, compare
+from greenough.pipeline.decode import PhaseMap
+from greenough.pipeline.phasor_filter import filter_phasors
 from greenough.pipeline.point_cloud import Mesh, PointCloud, write_cloud, write_mesh
 from greenough.pipeline.reconstruct import PointMap
 from greenough.scenes.parts import merge
@@ -22,6 +24,9 @@ SPECIMENS = ("coin", "bga", "diaphragm-concave", "diaphragm-equilibrated", "diap
 OUTLIER_MM = 0.05
 """A cap of 15 degrees is 9 um high: what lies farther than this from its median was not seen in direct light."""
 
+RAW, FILTERED, DECONVOLVED, DECONVOLVED_FILTERED = "raw", "filtered", "deconvolved", "deconvolved_filtered"
+"""What is done to a phase map. Names of its rows and clouds end so, unless nothing is."""
+
 APEX_FILTER = f"paraboloid over 15 degrees, without points beyond {OUTLIER_MM:g} mm of their median"
 SHINY = ("coin", "bga")  # metal and solder: several exposures are merged
 
@@ -31,6 +36,7 @@ class Measured:
     """One specimen: its picture, its points, the truth of each pixel, and the comparison of both."""
 
     name: str
+    treatment: str  # what was done to the phase
     background: np.ndarray  # (rows, cols) DN
     points: PointMap
     truth: Truth
@@ -38,11 +44,12 @@ class Measured:
     comparison: Comparison
 
 
-def measure_specimen(setups: Sequence[Setup], name: str, folder: Path) -> list[Measured]:
+def measure_specimen(setups: Sequence[Setup], name: str, folder: Path) -> list[tuple[Setup, Measured]]:
     """Measure one specimen, evaluate it by every calibration, and leave clouds and mesh, all in the calibrated frame.
 
     The first calibration's cloud is ``NAME.ply``, those of others are ``NAME-METHOD.ply``; the mesh is
-    ``NAME-truth.ply``.
+    ``NAME-truth.ply``. By the first calibration metal and solder are also deconvolved, without and with the one filter,
+    and the others filtered: names of these clouds end with ``-deconvolved``, ``-deconvolved-filtered``, ``-filtered``.
     """
     first = setups[0]
     brackets = first.calibration.procedure.brackets if name in SHINY else (1.0,)
@@ -53,21 +60,47 @@ def measure_specimen(setups: Sequence[Setup], name: str, folder: Path) -> list[M
     write_mesh(folder / f"{name}-truth.ply", mesh, {"unit": "mm", "specimen": name})
     measured = []
     for setup in setups:
-        suffix = "" if setup is first else f"-{setup.calibration.method}"
-        points = setup.points(phase_map)
-        cloud = _cloud(setup, name, points, truth, judged)
-        write_cloud(folder / f"{name}{suffix}.ply", cloud)
-        measured.append(Measured(name, phase_map.background, points, truth, judged, compare(cloud, mesh)))
+        for treatment, treated in _treated(setup, phase_map, name in SHINY, all_of_them=setup is first):
+            method = "" if setup is first else f"-{setup.calibration.method}"
+            ending = "" if treatment == RAW else f"-{treatment.replace('_', '-')}"
+            points = setup.points(treated)
+            cloud = _cloud(setup, name, treatment, points, truth, judged)
+            write_cloud(folder / f"{name}{method}{ending}.ply", cloud)
+            comparison = compare(cloud, mesh)
+            measured.append((setup, Measured(name, treatment, phase_map.background, points, truth, judged, comparison)))
     return measured
 
 
-def _cloud(setup: Setup, name: str, points: PointMap, truth: Truth, judged: np.ndarray) -> PointCloud:
+def _treated(setup: Setup, phase_map: PhaseMap, shiny: bool, all_of_them: bool) -> Iterator[tuple[str, PhaseMap]]:
+    """The phase map as measured, and by turns deconvolved and filtered."""
+    yield RAW, phase_map
+    if all_of_them:
+        if shiny and setup.calibration.point_spread is not None:
+            phase_map = deconvolved(phase_map, setup.calibration)
+            yield DECONVOLVED, phase_map
+            yield DECONVOLVED_FILTERED, filter_phasors(phase_map, setup.filter_fwhm_px)
+        else:
+            yield FILTERED, filter_phasors(phase_map, setup.filter_fwhm_px)
+
+
+def _filter_name(setup: Setup, treatment: str) -> str:
+    """What a row says was done."""
+    names = {
+        RAW: "none",
+        DECONVOLVED: "deconvolved",
+        DECONVOLVED_FILTERED: f"deconvolved, {setup.filter_name}",
+        FILTERED: setup.filter_name,
+    }
+    return names[treatment]
+
+
+def _cloud(setup: Setup, name: str, treatment: str, points: PointMap, truth: Truth, judged: np.ndarray) -> PointCloud:
     # Valid points that truth does not call lit and seen stay in the cloud, and out of the rows and the valid share.
     facts = {
         "unit": "mm",
         "specimen": name,
         "calibration": setup.calibration.method,
-        "filter": "none",
+        "filter": _filter_name(setup, treatment),
         "lit_and_seen": int(truth.lit_and_seen.sum()),
         "seed": setup.bench.settings.seed,
     }
@@ -75,14 +108,17 @@ def _cloud(setup: Setup, name: str, points: PointMap, truth: Truth, judged: np.n
 
 
 def specimen_claims(setup: Setup, measured: Measured) -> Iterator[Claim]:
-    """Bias, spread and coverage of one specimen on its smooth surface, unaligned and unfiltered."""
+    """Bias, spread and coverage of one specimen on its smooth surface, unaligned."""
+    suffix, filter = _suffix(measured), _filter_name(setup, measured.treatment)
     row = measured.comparison.row("vertical", "smooth")
     for name, value, criterion in (
         ("bias", row.bias_um, "mean vertical error where the surface is smooth"),
         ("rmse", row.rmse_um, "root mean square vertical error where the surface is smooth"),
         ("p95", row.p95_um, "95 % of the vertical errors where the surface is smooth"),
     ):
-        yield setup.claim(name, measured.name, value, "um", row.n, criterion)
+        yield setup.claim(name + suffix, measured.name, value, "um", row.n, criterion, filter=filter)
+    if measured.treatment != RAW:
+        return
     lit_and_seen = int(measured.truth.lit_and_seen.sum())
     share = measured.comparison.valid_share
     assert share is not None
@@ -114,17 +150,24 @@ def ball_claims(setup: Setup, measured: Measured) -> Iterator[Claim]:
     if len(errors) < 2:
         return
     error = np.array(errors)
+    suffix, filter = _suffix(measured), APEX_FILTER
+    if measured.treatment != RAW:
+        filter = f"{_filter_name(setup, measured.treatment)}, {APEX_FILTER}"
     for name, value, criterion in (
         ("ball_apex_bias", np.mean(error), "mean error of the apex heights"),
         ("ball_apex_sd", np.std(error, ddof=1), "standard deviation of the apex heights' errors over the balls"),
     ):
-        yield setup.claim(name, measured.name, 1e3 * float(value), "um", len(error), criterion, filter=APEX_FILTER)
+        yield setup.claim(name + suffix, measured.name, 1e3 * float(value), "um", len(error), criterion, filter=filter)
     worst = 1e3 * float(np.abs(error).max())
     yield setup.claim(
-        "ball_apex_within_tolerance", measured.name, worst, "um", len(error),
+        f"ball_apex_within_tolerance{suffix}", measured.name, worst, "um", len(error),
         "largest error of an apex height stays below the drawing's tolerance", paper=50.0, limit=50.0,
-        filter=APEX_FILTER,
+        filter=filter,
     )  # fmt: skip
+
+
+def _suffix(measured: Measured) -> str:
+    return "" if measured.treatment == RAW else f"_{measured.treatment}"
 
 
 def _only(points: PointMap, where: np.ndarray) -> PointMap:

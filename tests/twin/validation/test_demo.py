@@ -56,6 +56,9 @@ def document(finished) -> dict:
 
 def test_leaves_its_files_and_nothing_else(finished):
     specimens = {f"{name}{suffix}.ply" for name in SPECIMENS for suffix in ("", "-paper", "-truth")}
+    shiny = {"coin", "bga"} if Calibration.load(finished[0] / "calibration.h5").point_spread else set()
+    specimens |= {f"{name}-deconvolved{end}.ply" for name in shiny for end in ("", "-filtered")}
+    specimens |= {f"{name}-filtered.ply" for name in set(SPECIMENS) - shiny}
     expected = {"claims.json", "calibration.h5", "calibration-paper.h5", "report.html"} | specimens
     assert {path.name for path in finished[0].iterdir()} == expected
     assert Calibration.load(finished[0] / "calibration.h5").camera.shape == (240, 320)

@@ -113,6 +113,6 @@ def test_the_error_map_is_the_vertical_error_on_a_slope_where_lit_and_seen():
     truth = Truth(xyz + np.array([0, 0, 0.3]), normal, x, y, lit, world_from_twin)
     background = np.full(SHAPE, 100.0)
     comparison = Comparison("none", world_from_twin, (), 0, None)
-    result = specimen_maps(Measured("s", background, PointMap(points), truth, lit, comparison))
+    result = specimen_maps(Measured("s", "raw", background, PointMap(points), truth, lit, comparison))
     np.testing.assert_allclose(result.error_um[5:], 1e3 * error[5:], atol=1e-4)
     assert np.isnan(result.error_um[:5]).all()

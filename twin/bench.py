@@ -74,7 +74,7 @@ class Bench:
     @property
     def world_from_part(self) -> np.ndarray:
         """Where the mounted part really is, (4, 4)."""
-        return self.world_from_twin @ self._workbench.twin_from_part()
+        return self.world_from_twin @ self._workbench.drifted_twin_from_part()
 
     def blank_face_height(self, reading: float, xy_world: np.ndarray) -> np.ndarray:
         """Where the board's blank face truly is during calibration: heights (n,) at ``xy_world`` (n, 2), mm."""
@@ -97,7 +97,10 @@ class Bench:
                 "sensor": camera_dict(self.settings, (rows, cols)),
                 "projector": projector_dict(self.settings, blank),
             }
-            | specimen_dict(self._workbench.parts_in_twin(), self.settings.render)
+            | specimen_dict(
+                [transform(part, self._workbench.drifted_twin_from_part()) for part in self.specimen.parts],
+                self.settings.render,
+            )
         )
         sensor, projector = scene.sensors()[0], scene.emitters()[0]
         pixel = dr.arange(mi.UInt32, rows * cols)

@@ -3,7 +3,7 @@
 import hashlib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, cast
 
 import numpy as np
 
@@ -22,6 +22,8 @@ from greenough.instrument.rigfile import RigFile, load_rig_file
 from .bench import Bench
 from .camera import build_sensor, displaced, expose
 from .instability import Instability
+from .plugins import FringeIntegrator
+from .plugins.lens_projector import LensProjector
 from .renderer import dr, mi
 from .scene import camera_dict, integrator_dict, mirrors_passed, pixels_passed, projector_dict, specimen_dict
 from .settings import TwinSettings, twin_settings
@@ -144,11 +146,11 @@ class TwinRig:
         white = self._settings.light.white_electrons_per_ms * exposure_us * 1e-3
         serials = self._serial + np.arange(len(patterns), dtype=np.int64)
         optics, changes = self._settings.optics, self._instability
-        vibration = changes.vibration(serials)
-        sideways = [[changes.path_drift(self._serial) / (optics.column_pitch_um * 1e-3), 0.0]]
         self._workbench.drift = changes.table_drift(self._serial)
-        images = self._renderer.radiance(patterns, mirrors_passed(optics, vibration) + sideways)
-        moved = pixels_passed(optics, vibration)
+        motion = changes.vibration(serials) + self._workbench.drift
+        sideways = [[changes.path_drift(self._serial) / (optics.column_pitch_um * 1e-3), 0.0]]
+        images = self._renderer.radiance(patterns, mirrors_passed(optics, motion) + sideways)
+        moved = pixels_passed(optics, motion)
         brightness = np.pi * white * changes.flicker(serials)
         electrons = [
             displaced(image, self.camera.shape, shift) * dr.opaque(mi.Float, float(factor))
@@ -193,28 +195,44 @@ class TwinRig:
 
 
 class Renderer:
-    """Renders what the workbench holds, and keeps the last result: exposures of one scene share it."""
+    """Renders what the workbench holds, and keeps what exposures of one scene share.
+
+    That is the scene; the interreflections of the last patterns, which do not change with the shifts of a micrometre
+    that the patterns may have; and the last result.
+    """
 
     def __init__(self, rig_file: RigFile, settings: TwinSettings, workbench: Workbench) -> None:
         self._shape = rig_file.camera.shape
         self._projector_shape = rig_file.projector.shape
         self._settings = settings
         self._workbench = workbench
-        self._kept: tuple[tuple[object, ...], list[mi.Float]] | None = None
         self._sensor = mi.load_dict(camera_dict(settings, self._shape))
-        self._projector: tuple[bytes, mi.Emitter] | None = None
+        nothing = np.zeros((1, *self._projector_shape), np.uint8)
+        self._projector = cast(LensProjector, mi.load_dict(projector_dict(settings, nothing)))
+        self._loaded: tuple[object, mi.Scene] | None = None
+        self._interreflections: tuple[object, list[mi.Float]] | None = None
+        self._kept: tuple[object, list[mi.Float]] | None = None
 
     def radiance(self, patterns: np.ndarray, shift: np.ndarray | None = None) -> list[mi.Float]:
         """Radiance of each pattern, N arrays of (rows * cols,), the patterns moved by ``shift`` (N, 2)."""
         check_patterns(patterns, self._projector_shape)
         shift = np.zeros((len(patterns), 2)) if shift is None else shift
-        digest = hashlib.sha256(patterns.tobytes() + shift.tobytes()).digest()
-        state = (self._workbench.mounted, self._workbench.position, tuple(self._workbench.drift), digest)
+        place = (self._workbench.mounted, self._workbench.position)
+        shown = (*place, hashlib.sha256(patterns.tobytes()).digest())
+        state = (*shown, shift.tobytes())
         if self._kept is None or self._kept[0] != state:
             self._kept = None  # the old stack is freed before the new one is made
-            scene = mi.load_dict(self._scene(self._projector_for(patterns, shift, digest)))
-            integrator = scene.integrator()
-            self._kept = (state, integrator.render_channels(scene, scene.sensors()[0]))
+            if self._loaded is None or self._loaded[0] != place:
+                self._loaded = (place, mi.load_dict(self._scene(self._projector)))
+            scene = self._loaded[1]
+            self._projector.set_patterns(patterns, shift)
+            integrator, sensor = cast(FringeIntegrator, scene.integrator()), scene.sensors()[0]
+            if self._interreflections is None or self._interreflections[0] != shown:
+                self._interreflections = None
+                if integrator.bounces > 1:
+                    self._interreflections = (shown, integrator.render_interreflections(scene, sensor))
+            more = self._interreflections[1] if self._interreflections else None
+            self._kept = (state, integrator.render_channels(scene, sensor, interreflections=more))
             dr.sync_thread()
         return self._kept[1]
 
@@ -223,11 +241,6 @@ class Renderer:
         check_patterns(patterns, self._projector_shape)
         projector = projector_dict(self._settings, patterns)
         return self._scene(projector) | {"sensor": camera_dict(self._settings, self._shape)}
-
-    def _projector_for(self, patterns: np.ndarray, shift: np.ndarray, digest: bytes) -> mi.Emitter:
-        if self._projector is None or self._projector[0] != digest:
-            self._projector = (digest, mi.load_dict(projector_dict(self._settings, patterns, shift)))
-        return self._projector[1]
 
     def _scene(self, projector: object) -> dict[str, Any]:
         mounted = self._workbench.mounted

@@ -109,19 +109,18 @@ class Workbench:
         return on_board @ motion[2, :3] + motion[2, 3]
 
     def twin_from_part(self) -> np.ndarray:
-        """Where the mounted part really is, (4, 4), at the stage's present position."""
+        """Where the mounted part is, (4, 4), at the stage's present position, as long as the table has not drifted."""
         assert self.mounted is not None
-        return (
-            rigid(Rotation.identity(), self.drift)
-            @ self.stage.twin_from_table(self.position)
-            @ self.mounted.table_from_part
-        )
+        return self.stage.twin_from_table(self.position) @ self.mounted.table_from_part
 
     def parts_in_twin(self) -> list[Part]:
-        """The mounted surfaces in the twin's frame."""
+        """The mounted surfaces in the twin's frame, as ``twin_from_part``."""
         assert self.mounted is not None
-        motion = self.twin_from_part()
-        return [transform(part, motion) for part in self.mounted.specimen.parts]
+        return [transform(part, self.twin_from_part()) for part in self.mounted.specimen.parts]
+
+    def drifted_twin_from_part(self) -> np.ndarray:
+        """Where the mounted part really is, (4, 4)."""
+        return rigid(Rotation.identity(), self.drift) @ self.twin_from_part()
 
     def world_from_twin(self) -> np.ndarray:
         """The calibrated frame as it really is, (4, 4): that of the board lying flat, printed face up, at z = 0."""

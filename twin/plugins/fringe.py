@@ -78,25 +78,39 @@ class FringeIntegrator(mi.SamplingIntegrator):
         return mi.TensorXf(flat, (int(size[1]), int(size[0]), len(channels)))
 
     def render_channels(
-        self, scene: mi.Scene, sensor: mi.Sensor, seed: mi.UInt32 | int = 0, spp: int = 0
+        self,
+        scene: mi.Scene,
+        sensor: mi.Sensor,
+        seed: mi.UInt32 | int = 0,
+        spp: int = 0,
+        interreflections: list[mi.Float] | None = None,
     ) -> list[mi.Float]:
-        """The images of all patterns, N arrays of rows * cols pixels each, evaluated."""
-        nodes_direct = spp or self.nodes
-        nodes_indirect = max(2, self.nodes_indirect * nodes_direct // self.nodes)
+        """The images of all patterns, N arrays of rows * cols pixels each, evaluated.
+
+        ``interreflections`` of the same scene, or one that differs by less than they can show, are not rendered again.
+        """
         with dr.suspend_grad():
-            trace = partial(self._visible, scene)
-            channels = self._accumulate(scene, sensor, seed, nodes_direct, False, trace)
+            channels = self._accumulate(scene, sensor, seed, spp or self.nodes, False, partial(self._visible, scene))
             if self.bounces > 1:
                 dr.eval(channels)
-                guide = self._guide(scene, sensor) if self.guided else None
-                trace = partial(self._indirect, scene, guide)
-                more = self._accumulate(scene, sensor, seed, nodes_indirect, True, trace)
-                if self.smoothing:
-                    more = self._smoothed(more, scene, sensor)
+                more = interreflections or self.render_interreflections(scene, sensor, seed, spp)
                 channels = [c + m for c, m in zip(channels, more, strict=True)]
             lit = sum(dr.abs(channel) for channel in channels) > 0
             dr.eval(channels, lit)
         return _diffracted(channels, lit, sensor) if _border(sensor) else channels
+
+    def render_interreflections(
+        self, scene: mi.Scene, sensor: mi.Sensor, seed: mi.UInt32 | int = 0, spp: int = 0
+    ) -> list[mi.Float]:
+        """What ``render_channels`` adds to the direct light before the diffraction, with its border, evaluated."""
+        count = max(2, self.nodes_indirect * (spp or self.nodes) // self.nodes)
+        with dr.suspend_grad():
+            guide = self._guide(scene, sensor) if self.guided else None
+            channels = self._accumulate(scene, sensor, seed, count, True, partial(self._indirect, scene, guide))
+            if self.smoothing:
+                channels = self._smoothed(channels, scene, sensor)
+            dr.eval(channels)
+        return channels
 
     @dr.syntax
     def _accumulate(self, scene, sensor, seed, count, indirect, trace):

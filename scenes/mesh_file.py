@@ -69,6 +69,8 @@ def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
     if not path.is_file():
         raise InputError(f"mesh file {path} does not exist.")
     try:
+        if path.suffix.lower() == ".stl":
+            _check_length(path.read_bytes())
         mesh = trimesh.load(path, force="mesh", process=False, skip_materials=True)
     except Exception as error:  # trimesh's readers raise whatever they stumble over
         raise InputError(
@@ -86,3 +88,11 @@ def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
         bad = int(np.argmin(np.isfinite(vertices).all(axis=-1)))
         raise InputError(f"vertex {bad} of {path} is not finite; repair or export it again.")
     return vertices, faces.astype(np.int32)
+
+
+def _check_length(stl: bytes) -> None:
+    """Raise ValueError for a binary STL that ends too early: readers take its rest for text without faces."""
+    if len(stl) >= 84 and not stl.startswith(b"solid"):
+        triangles = int.from_bytes(stl[80:84], "little")
+        if len(stl) < 84 + 50 * triangles:
+            raise ValueError(f"{triangles} triangles do not fit into {len(stl)} bytes")

@@ -57,7 +57,7 @@ def benchmark(rig_name: str, overrides: list[str], advance: Callable[[float], No
     rig.operator.place(Placement("board"))
     rig.camera.exposure_us = 60_000
     frames = rig.capture(patterns)
-    rows.append(Row(f"expose {n} frames", _median(lambda: rig.capture(patterns), REPEATS), "s"))
+    rows.append(Row(f"capture {n} frames of the board", _median(lambda: rig.capture(patterns), REPEATS), "s"))
     phase_map = decode(frames, fringes, rig.camera.noise)
     rows.append(Row(f"decode {n} frames", _median(lambda: decode(frames, fringes, rig.camera.noise), 20), "s"))
     advance(1)

@@ -14,7 +14,7 @@ from .pitch import pitch_claims
 from .planes import VOLUME_HEIGHTS_MM, measure_plane, measure_volume, noise_claims, step_claims, volume_claims
 from .report import SpecimenMaps, specimen_maps, write_report
 from .setup import Setup
-from .specimens import SPECIMENS, ball_claims, measure_specimen, specimen_claims
+from .specimens import DECONVOLVED, RAW, SPECIMENS, ball_claims, measure_specimen, specimen_claims
 
 CALIBRATION_RUN = "demo calibration"
 MEASUREMENT_RUN = "demo measurement"
@@ -67,7 +67,8 @@ def demonstrate(rig_name: str, overrides: Sequence[str], folder: Path, advance: 
                 claims += specimen_claims(setup, found)
                 if name == "bga":
                     claims += ball_claims(setup, found)
-            maps.append(specimen_maps(measured[0][1]))
+            shown = (found for setup, found in measured if setup is setups[0] and found.treatment in (RAW, DECONVOLVED))
+            maps += map(specimen_maps, shown)
             advance(4)
     facts = {"rig": rig_name, "settings": list(overrides)}
     write_claims(folder / "claims.json", claims, facts)

@@ -21,7 +21,7 @@ from greenough.instrument.files import atomic_path
 from .claims import Claim, environment
 from .planes import PlaneNoise, paper_line
 from .setup import Setup
-from .specimens import Measured
+from .specimens import RAW, Measured
 
 SCALE_PERCENTILE = 99.0
 """The colour scale of an error map ends at this percentile of the absolute errors where the surface is smooth."""
@@ -68,7 +68,7 @@ def specimen_maps(measured: Measured) -> SpecimenMaps:
     with np.errstate(divide="ignore", invalid="ignore"):
         error = np.einsum("rci,rci->rc", measured.points.xyz - truth.xyz_world, normal) / normal[..., 2]
     return SpecimenMaps(
-        name=measured.name,
+        name=measured.name if measured.treatment == RAW else f"{measured.name}, {measured.treatment}",
         background=measured.background.astype(np.float32),
         height_mm=measured.points.xyz[..., 2].astype(np.float32),
         error_um=np.where(truth.lit_and_seen, 1e3 * error, np.nan).astype(np.float32),

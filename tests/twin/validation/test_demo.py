@@ -62,7 +62,9 @@ def test_leaves_its_files_and_nothing_else(finished):
     expected = {"claims.json", "calibration.h5", "calibration-paper.h5", "report.html"} | specimens
     assert {path.name for path in finished[0].iterdir()} == expected
     assert Calibration.load(finished[0] / "calibration.h5").camera.shape == (240, 320)
-    assert (finished[0] / "report.html").read_text(encoding="utf-8").count('src="data:image/png') == 1 + len(SPECIMENS)
+    assert (finished[0] / "report.html").read_text(encoding="utf-8").count('src="data:image/png') == 1 + len(
+        SPECIMENS
+    ) + len(shiny)
 
 
 def test_every_name_that_scripts_rely_on_has_its_row_and_every_row_its_fields(document):

@@ -166,7 +166,7 @@ class _RecordedRig:
         tape, self._tape = self.tape, None
         if exc[0] is None:
             self._open.callback(tape.finish)
-        self._open.__exit__(*exc)  # type: ignore[arg-type]
+        self._open.__exit__(*exc)  # type: ignore[arg-type]  the contract's __exit__ takes any three objects
 
 
 class _RecordedCamera:

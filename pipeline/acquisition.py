@@ -38,8 +38,7 @@ FLAT = "flat"
 
 RIM_PX = 10
 """A calibration plane does not count this near to the rim of the board or of the light, where blur mixes in what is not
-the board: four to five Airy radii of 2.2 px. On an otherwise perfect instrument the outermost pixels of a measured
-plane are then up to 0.8 µm wrong; with 6 px it is 33 µm."""
+the board: four to five Airy radii of 2.2 px, as far as the pattern's skirt and defocus are felt."""
 
 
 METHODS: Mapping[Method, Callable[[CalibrationData], Calibration]] = {

@@ -18,8 +18,8 @@ from .unwrap import RESIDUAL_LIMIT, order_is_safe, unwrap
 
 ensure_llvm()  # Dr.Jit looks for LLVM while it is imported
 
-import drjit as dr  # noqa: E402
-from drjit.llvm import Bool, Float, UInt8  # noqa: E402
+import drjit as dr  # noqa: E402  must follow ensure_llvm
+from drjit.llvm import Bool, Float, UInt8  # noqa: E402  must follow ensure_llvm
 
 QUANTISATION_VARIANCE = 1 / 12
 """Variance that rounding to whole grey values adds, DN²."""

@@ -26,8 +26,8 @@ from .fringes import FringeSet
 
 ensure_llvm()  # Dr.Jit looks for LLVM while it is imported
 
-import drjit as dr  # noqa: E402
-from drjit.llvm import Bool, Float  # noqa: E402
+import drjit as dr  # noqa: E402  must follow ensure_llvm
+from drjit.llvm import Bool, Float  # noqa: E402  must follow ensure_llvm
 
 ERROR_PROBABILITY = 1e-6
 """Accepted probability, per pixel, of a wrong fringe order."""

@@ -72,7 +72,7 @@ def test_examples_run_in_the_order_of_the_page_and_the_commands_with_them(folder
         if "demo" not in line:
             assert command(line) == 0, f"{line}\n{capsys.readouterr().err}"
     with h5py.File("phase.h5") as file:
-        assert np.mean(file["valid"][()]) > 0.9  # type: ignore[index]
+        assert np.mean(file["valid"][()]) > 0.9
 
     runner = doctest.DocTestRunner(verbose=False)
     report: list[str] = []

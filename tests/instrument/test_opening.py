@@ -18,7 +18,7 @@ def test_the_driver_gets_the_rig_file_the_run_and_the_count(tmp_path: Path, monk
     (tmp_path / "lab_driver.py").write_text(DRIVER)
     monkeypatch.syspath_prepend(tmp_path)
     opened = open_rig("twin", ['driver="lab_driver:connect"', "twin.seed=7"], run="monday", exposures_done=24)
-    rig_file, run, exposures_done = opened  # type: ignore[misc]
+    rig_file, run, exposures_done = opened
     assert isinstance(rig_file, RigFile)
     assert rig_file.driver_section("twin")["seed"] == 7
     assert (run, exposures_done) == ("monday", 24)

@@ -333,6 +333,6 @@ def test_only_a_twin_has_a_bench(tmp_path: Path):
 
 def test_the_package_has_no_other_names():
     with pytest.raises(AttributeError, match="nothing_of_the_kind"):
-        _ = gt.nothing_of_the_kind  # type: ignore[attr-defined]
+        _ = gt.nothing_of_the_kind
     assert set(gt.__all__) == {"Bench", "Truth", "TwinRig", "open", "open_rig", "scene_dict"}
     assert all(getattr(gt, name) is not None for name in gt.__all__)

@@ -46,7 +46,7 @@ def budget(
 ) -> None:
     """Calibrate and measure planes with each physical effect off, and with each alone; say what it costs.
 
-    Takes hours with the full camera; goes on from FILE where it was interrupted.
+    Each line takes a calibration and ten captures; goes on from FILE where it was interrupted.
     """
     from .budget import budget as run
     from .budget import cases

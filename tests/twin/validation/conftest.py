@@ -46,6 +46,6 @@ def analytic() -> Callable[..., Setup]:
         )
         stage = {"blank_face_height": lambda reading, xy: np.full(len(xy), float(reading))}
         parts = {"settings": settings, "world_from_part": motion} | stage | bench
-        return Setup(rig, SimpleNamespace(**parts), calibration)  # type: ignore[arg-type]
+        return Setup(rig, SimpleNamespace(**parts), calibration)
 
     return made

@@ -15,7 +15,7 @@ RADIUS = 0.25
 def measured(xyz: np.ndarray, comparison: Comparison | None = None, seen: np.ndarray | None = None) -> Measured:
     truth = SimpleNamespace(lit_and_seen=np.ones(xyz.shape[:2], bool) if seen is None else seen)
     nothing = np.zeros(xyz.shape[:2])
-    return Measured("bga", RAW, nothing, PointMap(xyz), truth, nothing > 0, comparison)  # type: ignore[arg-type]
+    return Measured("bga", RAW, nothing, PointMap(xyz), truth, nothing > 0, comparison)
 
 
 def test_apex_errors_are_those_of_the_balls(analytic):

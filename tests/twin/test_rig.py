@@ -207,6 +207,26 @@ def test_opening_by_name_gives_the_same_rig_without_the_bench(small):
     assert_array_equal(rig.capture(patterns).stack, ours.capture(patterns).stack)
 
 
+@pytest.mark.parametrize("change", ["patterns", "height", "part"])
+def test_interreflections_kept_from_another_scene_are_not_shown(small, change):
+    rig, _ = small()
+    left, right = white(rig), white(rig)
+    left[..., 304:] = 0
+    right[..., :304] = 0
+    rig.operator.place(Placement("bga"))
+    rig.irradiance(left)
+    fresh, _ = small()
+    part = "coin" if change == "part" else "bga"
+    fresh.operator.place(Placement(part))
+    if change == "part":
+        rig.operator.place(Placement(part))
+    if change == "height":
+        for either in (rig, fresh):
+            either.stage.move_to_mm(0.3)
+    patterns = right if change == "patterns" else left
+    assert_array_equal(rig.irradiance(patterns), fresh.irradiance(patterns))
+
+
 def test_connecting_and_leaving_do_nothing(small):
     rig, _ = small()
     rig.stage.move_to_mm(0.5)

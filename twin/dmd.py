@@ -23,12 +23,13 @@ IMAGE_CELLS = (4, 2)  # cells per column and per row of a pattern with rows
 
 @dataclass(frozen=True)
 class Mirrors:
-    """Geometry of the array as it appears at the specimen, mm."""
+    """Geometry of the array as it appears at the specimen, mm, and how it answers to grey values."""
 
     column_pitch: float
     row_pitch: float
     fill: float
     off_state: float  # light of a mirror that is off, relative to one that is on
+    gamma: float = 1.0  # exponent of the light over the grey values
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,8 @@ def band_limited(
     At a place the table shows what lies ``shift``, (N, 2) columns and rows, further on in each pattern. Patterns that
     do not vary along the rows share one profile across them, which is not shifted.
     """
-    light = mirrors.off_state + (1 - mirrors.off_state) * patterns.astype(np.float32) / 255
+    answer = (255 * (np.arange(256) / 255) ** mirrors.gamma).astype(np.float32)  # in grey values
+    light = mirrors.off_state + (1 - mirrors.off_state) * answer[patterns] / 255
     shift = np.zeros((len(patterns), 2)) if shift is None else shift
     if (patterns == patterns[:, :1]).all():
         return _column_table(light[:, 0], patterns.shape[1], mirrors, na, wavelength, shift[:, 0])

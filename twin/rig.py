@@ -143,7 +143,8 @@ class TwinRig:
         """
         check_patterns(patterns, self.projector.shape)
         exposure_us = self.camera.exposure_us
-        white = self._settings.light.white_electrons_per_ms * exposure_us * 1e-3
+        photons = self._settings.light.white_photons_per_ms * exposure_us * 1e-3
+        white = self._settings.camera.quantum_efficiency * photons  # in electrons
         serials = self._serial + np.arange(len(patterns), dtype=np.int64)
         optics, changes = self._settings.optics, self._instability
         self._workbench.drift = changes.table_drift(self._serial)

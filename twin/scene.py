@@ -105,6 +105,7 @@ def projector_dict(settings: TwinSettings, patterns: np.ndarray, shift: np.ndarr
         "wavelength": optics.wavelength_um * 1e-3,
         "fill": optics.mirror_fill,
         "off_state": optics.off_state,
+        "gamma": optics.gamma,
     }
 
 

@@ -39,6 +39,7 @@ class OpticsSettings(BaseModel):
     camera_diffraction: bool = True
     mirror_fill: Annotated[float, Field(gt=0.1, le=1)] = 0.92
     off_state: Annotated[float, Field(ge=0, lt=0.5)] = 0.001
+    gamma: Annotated[float, Field(ge=0.2, le=5)] = 1.0  # of the mirrors' light over the grey values; 1 is linear
 
 
 class AssemblySettings(BaseModel):
@@ -54,13 +55,13 @@ class AssemblySettings(BaseModel):
 
 
 class LightSettings(BaseModel):
-    """Electrons per ms that a white Lambertian surface gives a pixel in the middle of the field.
+    """Photons per ms that a white Lambertian surface sends onto a pixel in the middle of the field.
 
     ``ambient`` is light that every pixel gets besides, as a share of that: 0.5 % of full scale where white has 80 %.
     """
 
     model_config = _STRICT
-    white_electrons_per_ms: Annotated[float, Field(gt=0, le=1e6)] = 75.0
+    white_photons_per_ms: Annotated[float, Field(gt=0, le=1e6)] = 150.0
     ambient: Annotated[float, Field(ge=0, le=1)] = 0.00625
     bandwidth_um: Annotated[float, Field(ge=0, le=0.1)] = 0.030  # full width at half maximum; glass alone sees it
 
@@ -69,6 +70,7 @@ class CameraSettings(BaseModel):
     """EMVA 1288 as the camera really is; ``shot_noise`` and the sizes can be switched off one by one."""
 
     model_config = _STRICT
+    quantum_efficiency: Annotated[float, Field(gt=0, le=1)] = 0.5  # electrons per photon
     shot_noise: bool = True
     read_noise_e: Size = 10.0
     prnu: Annotated[float, Field(ge=0, le=0.2)] = 0.01

@@ -73,7 +73,9 @@ def test_every_effect_can_be_switched_off_and_none_is_negative(effect):
         ('twin.camera.prnu="much"', "camera.prnu", "number"),
         ('twin.camera.prnu="0.01"', "camera.prnu", "number"),
         ('twin.camera.shot_noise="perhaps"', "camera.shot_noise", "true"),
-        ("twin.light.white_electrons_per_ms=nan", "light.white_electrons_per_ms", "number"),
+        ("twin.light.white_photons_per_ms=nan", "light.white_photons_per_ms", "number"),
+        ("twin.camera.quantum_efficiency=1.1", "camera.quantum_efficiency", "1"),
+        ("twin.optics.gamma=0", "optics.gamma", "0.2"),
     ],
 )
 def test_a_wrong_field_is_named_with_what_is_allowed(override, field, allowed):

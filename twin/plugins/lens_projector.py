@@ -21,9 +21,9 @@
  * - wavelength, diffraction_na: float
      Wavelength in scene units and numerical aperture of the band limit; a wavelength of 0 shows square pixels without
      any (default), and ``diffraction_na`` defaults to aperture_radius / focus_distance.
- * - fill, off_state: float
-     Share of a diamond's area that reflects (default: 0.92), and light of a dark mirror (default: 0); only with a band
-     limit.
+ * - fill, off_state, gamma: float
+     Share of a diamond's area that reflects (default: 0.92), light of a dark mirror (default: 0), and exponent of a
+     mirror's light over its grey value (default: 1); only with a band limit.
  * - irradiance: float
      Irradiance of a white pattern in the focused plane, on a surface perpendicular to the axis (default: 1).
  * - prescription, glass_errors, pupil_nodes:
@@ -63,7 +63,12 @@ class LensProjector(mi.Emitter):
         self.pattern = int(props.get("pattern", 0))
         self.wavelength = float(props.get("wavelength", 0.0))
         self.na = float(props.get("diffraction_na", self.aperture / self.focus))
-        self.mirrors = Mirrors(*self.pitch, float(props.get("fill", 0.92)), float(props.get("off_state", 0.0)))
+        self.mirrors = Mirrors(
+            *self.pitch,
+            fill=float(props.get("fill", 0.92)),
+            off_state=float(props.get("off_state", 0.0)),
+            gamma=float(props.get("gamma", 1.0)),
+        )
         shift = np.array(props["pattern_shift"]) if "pattern_shift" in props else None
         self.spectrum = Spectrum(
             float(props.get("wavelength_um", DESIGN_WAVELENGTH_UM)), float(props.get("bandwidth_um", 0.0))

@@ -39,7 +39,7 @@ def test_every_effect_is_switched_off_by_its_settings_and_alone_without_them():
 
 def test_no_size_of_an_effect_is_forgotten():
     """Sizes of the physics table live in these sections; what is not an effect of planes is named here."""
-    others = {"twin.light.white_electrons_per_ms", "twin.light.bandwidth_um"}
+    others = {"twin.light.white_photons_per_ms", "twin.light.bandwidth_um", "twin.camera.quantum_efficiency"}
     switched = {setting.split("=")[0] for settings in EFFECTS.values() for setting in settings}
     for section in ("light", "camera", "stage", "stability", "board"):
         sizes = {f"twin.{section}.{name}" for name in type(getattr(TwinSettings(), section)).model_fields}

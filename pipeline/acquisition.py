@@ -235,7 +235,7 @@ def measure_phase(
         noise = rig.camera.noise
     else:
         merged = capture_bracketed(rig, patterns, possible)
-        frames, noise = merged.frames, merged.variance_dn2
+        frames, noise = merged.frames, merged.variance
     if frames.run == calibration.run and frames.serials.min() < calibration.exposures:
         raise InputError(
             f"exposure {frames.serials.min()} of run {frames.run!r} belongs to the calibration already: measure in a "
@@ -264,10 +264,15 @@ def plane_heights(rig: Rig) -> np.ndarray:
     return heights
 
 
-def _without_rim(valid: np.ndarray) -> np.ndarray:
-    """Pixels (rows, cols) whose neighbours within ``RIM_PX`` are valid too; beyond the picture nothing is."""
+def plane_phase(phase_map: PhaseMap) -> np.ndarray:
+    """Absolute phase of a calibration plane where it counts, (rows, cols) float32 rad; NaN elsewhere.
+
+    That is where the neighbours within ``RIM_PX`` are valid too; beyond the picture nothing is.
+    """
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * RIM_PX + 1, 2 * RIM_PX + 1))
-    return cv2.erode(valid.astype(np.uint8), disc, borderType=cv2.BORDER_CONSTANT, borderValue=0).astype(bool)
+    valid = phase_map.valid.astype(np.uint8)
+    inside = cv2.erode(valid, disc, borderType=cv2.BORDER_CONSTANT, borderValue=0).astype(bool)
+    return np.where(inside, phase_map.absolute, np.nan).astype(np.float32)
 
 
 def _postures(rig: Rig) -> list[tuple[str, Placement]]:
@@ -334,7 +339,7 @@ class _Acquirer:
                 auto_exposure(self._rig)
             frames, phase_map = self._capture()
             return {
-                "phase_rad": np.where(_without_rim(phase_map.valid), phase_map.absolute, np.nan).astype(np.float32),
+                "phase_rad": plane_phase(phase_map),
                 "stage_position_mm": np.array(frames.stage_position_mm),
             }
 

@@ -9,7 +9,7 @@ import numpy as np
 from greenough.instrument.contract import CameraNoise, Frames, Rig
 from greenough.instrument.errors import InputError
 
-from .decode import camera_variance
+from .grey_variance import GreyVariance, camera_variance
 
 BRIGHTEST_PERCENTILE = 99.5
 """The brightest part that counts is this percentile of all pixels.
@@ -34,15 +34,15 @@ class Bracketed:
     frames : Frames
         ``stack`` is (frames, rows, cols) float32 in DN of the longest exposure, black level 0, infinite where every
         exposure is saturated. The other fields are those of the longest exposure.
-    variance_dn2 : (rows, cols) float32
-        Variance of a single grey value of ``frames``, averaged over the phases; `decode` takes it as its noise.
-        Infinite where every exposure is saturated.
+    variance : GreyVariance
+        Of the grey values of ``frames``, (rows, cols) float32 each; `decode` takes it as its noise. Infinite where
+        every exposure is saturated.
     saturated : (rows, cols) bool
         Where every exposure is saturated.
     """
 
     frames: Frames
-    variance_dn2: np.ndarray
+    variance: GreyVariance
     saturated: np.ndarray
 
 
@@ -140,7 +140,8 @@ def merge(sequences: Sequence[Frames], noise: CameraNoise) -> Bracketed:
     """Merge exposures of the same sequence, pixel by pixel, each weighted by the inverse of its variance.
 
     An exposure counts at a pixel only if none of its frames is saturated there, so that all frames of a pixel have the
-    same weights. The variance follows from the mean over the frames (`decode.camera_variance`).
+    same weights: the variance at their mean (`grey_variance.camera_variance`) decides. The variance of a pixel's merged
+    grey values therefore remains an affine function of the light.
 
     Parameters
     ----------
@@ -150,28 +151,32 @@ def merge(sequences: Sequence[Frames], noise: CameraNoise) -> Bracketed:
         The camera's data sheet.
     """
     longest = max(sequences, key=lambda frames: frames.exposure_us)
-    total = np.zeros(longest.stack.shape, dtype=np.float32)
-    total_weight = np.zeros(longest.stack.shape[1:], dtype=np.float32)
+    shape = longest.stack.shape
+    total = np.zeros(shape, dtype=np.float32)
+    total_weight, at_black, per_dn = (np.zeros(shape[1:], dtype=np.float32) for _ in range(3))
     for frames in sequences:
         scale = longest.exposure_us / frames.exposure_us
-        at_black, per_dn = camera_variance(noise, quantised=frames.stack.dtype.kind == "u")
+        single = camera_variance(noise, quantised=frames.stack.dtype.kind == "u")
         background = frames.stack.mean(axis=0, dtype=np.float32) - frames.black_level_dn
-        variance = scale**2 * (at_black + per_dn * np.maximum(background, 0))
         clipped = frames.stack.max(axis=0) >= frames.full_scale_dn
-        weight = np.where(clipped, 0, 1 / variance).astype(np.float32)
+        weight = np.where(clipped, 0, 1 / (scale**2 * single.at(background))).astype(np.float32)
         total_weight += weight
-        weight *= scale
+        weight *= scale  # of the grey value as it was exposed
+        at_black += weight**2 * single.at_black_dn2
+        per_dn += weight**2 / scale * single.per_dn  # for each DN of the longest exposure
         for grey, merged in zip(frames.stack, total, strict=True):
             merged += weight * (grey - np.float32(frames.black_level_dn))
 
     saturated = total_weight == 0
-    variance_dn2 = 1 / np.where(saturated, 1, total_weight)
+    total_weight[saturated] = 1
     for merged in total:
-        merged *= variance_dn2
+        merged /= total_weight
         merged[saturated] = inf
-    variance_dn2[saturated] = inf
+    at_black /= total_weight**2
+    per_dn /= total_weight**2
+    at_black[saturated] = inf
     return Bracketed(
         frames=replace(longest, stack=total, black_level_dn=0.0, full_scale_dn=inf),
-        variance_dn2=variance_dn2,
+        variance=GreyVariance(at_black, per_dn),
         saturated=saturated,
     )

@@ -5,8 +5,9 @@ import pytest
 
 from greenough.instrument.contract import CameraNoise, Frames
 from greenough.instrument.errors import InputError
-from greenough.pipeline.decode import decode, estimate_variance
+from greenough.pipeline.decode import decode
 from greenough.pipeline.fringes import PAPER, FringeSet
+from greenough.pipeline.grey_variance import GreyVariance
 
 NOISE = CameraNoise(full_well_e=6500.0, read_noise_e=10.0, electrons_per_dn=25.9)
 
@@ -48,7 +49,7 @@ def photographed(light, rng):
 
 @pytest.mark.parametrize("noise_dn", [1, 3, 5, 8])
 def test_full_frames_decode_without_order_errors_at_the_noise_of_the_bound(noise_dn):
-    """The Cramér-Rao bound sqrt(2/N) σ / B is reached, with the 1/12 DN² of rounding added to σ²."""
+    """Of noise that is the same everywhere, sqrt(2/N) σ / B, with the 1/12 DN² of rounding added to σ²."""
     rng = np.random.default_rng(noise_dn)
     column = np.linspace(0, 608, 1280, endpoint=False)
     images = fringe_images(column, PAPER, 118, 84).astype(np.float32)
@@ -103,16 +104,6 @@ def test_background_is_above_black_and_sigma_is_what_is_observed():
             # 60 000 pixels: 4.5 standard deviations of their standard deviation are 1.3 %.
             assert error.std() == pytest.approx(np.median(phase_map.sigma[half]), rel=0.02)
             assert phase_map.background[half].mean() == pytest.approx(level[half].mean(), abs=0.02)
-
-
-def test_noise_estimated_from_the_frames_is_the_photon_transfer_line():
-    rng = np.random.default_rng(4)
-    column = np.broadcast_to(np.linspace(20, 580, 400), (300, 400))
-    level = np.linspace(3, 120, 300)[:, None]
-    stack = photographed(fringe_images(column, PAPER, level, 0.9 * level), rng)
-    at_black, per_dn = estimate_variance(stack, PAPER, 4.0, 255.0)
-    assert per_dn == pytest.approx(1 / 25.9, rel=0.03)
-    assert at_black == pytest.approx((10 / 25.9) ** 2 + 1 / 12, rel=0.3)
 
 
 def test_dark_and_unmodulated_pixels_are_invalid():
@@ -173,12 +164,12 @@ def test_variance_per_pixel_is_used_as_given():
     stack = fringe_images(column, PAPER, 118, 84).astype(np.float32)
     variance = np.full((10, 100), 4.0)
     variance[5:] = 400.0
-    phase_map = decode(stack, PAPER, variance)
+    phase_map = decode(stack, PAPER, GreyVariance(variance, 0.0))
     np.testing.assert_allclose(phase_map.sigma, np.sqrt(2 / 12 * variance) / 84, rtol=1e-4)
     assert phase_map.valid[:5].all()
     assert not phase_map.valid[5:].any()
     with pytest.raises(InputError, match=r"\(5, 100\).*\(10, 100\)"):
-        decode(stack, PAPER, variance[5:])
+        decode(stack, PAPER, GreyVariance(0.0, variance[5:]))
 
 
 @pytest.mark.parametrize(

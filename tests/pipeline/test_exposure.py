@@ -10,6 +10,7 @@ from greenough.instrument.errors import InputError
 from greenough.pipeline.decode import decode
 from greenough.pipeline.exposure import BRIGHTEST_PERCENTILE, auto_exposure, capture_bracketed, merge
 from greenough.pipeline.fringes import PAPER
+from greenough.pipeline.grey_variance import camera_variance
 
 NOISE = CameraNoise(full_well_e=6500.0, read_noise_e=10.0, electrons_per_dn=25.9)
 BLACK_DN, FULL_SCALE_DN = 4.0, 255.0
@@ -115,21 +116,26 @@ def test_brackets_beyond_the_limits_are_refused_before_anything_is_captured():
 
 
 def test_merged_grey_values_are_unbiased_with_the_variance_that_is_stated():
-    """From bright, where only the short exposure counts, to dark, where both do."""
+    """From bright, where only the short exposure counts, to dark, where both do; in dark and bright frames of each.
+
+    Pixels differ by a whole grey value of the short exposure, so that its rounding errors are evenly spread.
+    """
     rng = np.random.default_rng(2)
-    level = np.array([0.2, 1.0, 4.0, 15.0])  # DN per ms; 40 ms saturate at 6.3
-    light = np.broadcast_to(level[:, None], (50, 4, 2000)).copy()
+    level = np.array([0.5, 1.0, 3.0, 8.0])  # DN per ms; 40 ms saturate at 6.3
+    share = np.tile([0.2, 1.8], 25)  # of the level, in each frame
+    light = share[:, None, None] * level[:, None] + np.linspace(-0.05, 0.05, 2000)
     merged = merge([exposed(light, 4e4, rng), exposed(light, 1e4, rng)], NOISE)
-    expected = level * 40
-    stack = merged.frames.stack
     assert not merged.saturated.any()
-    for row in range(4):
-        # 100 000 values: the mean is known to sigma / 316, the variance to 0.45 %.
-        sigma = float(stack[:, row].std())
-        assert stack[:, row].mean() == pytest.approx(expected[row], abs=5 * sigma / 316)
-        assert sigma**2 == pytest.approx(merged.variance_dn2[row].mean(), rel=0.03)
-    longest_alone = 0.2 * 40 / 25.9 + (10 / 25.9) ** 2 + 1 / 12
-    assert merged.variance_dn2[0].mean() < longest_alone
+    error = merged.frames.stack - light * 40
+    for frames in (share == 0.2, share == 1.8):
+        stated = merged.variance.at(merged.frames.stack[frames].mean(axis=0)).mean(axis=-1)
+        for row in range(4):
+            # 50 000 values: the mean is known to sigma / 224, the variance to 0.63 %.
+            sigma = float(error[frames, row].std())
+            assert error[frames, row].mean() == pytest.approx(0, abs=5 * sigma / 224)
+            assert sigma**2 == pytest.approx(stated[row], rel=0.035)
+    longest_alone = camera_variance(NOISE, quantised=True).at(level * 40)
+    assert merged.variance.at(merged.frames.stack.mean(axis=0))[0].mean() < longest_alone[0]
 
 
 def test_where_every_exposure_is_saturated_the_merge_says_so_and_decoding_is_invalid():
@@ -146,7 +152,7 @@ def test_where_every_exposure_is_saturated_the_merge_says_so_and_decoding_is_inv
     merged = merge([exposed(light, 4e4, rng), exposed(light, 1e4, rng)], NOISE)
     assert merged.saturated.all(axis=1).tolist() == [False, False, True]
     assert np.isinf(merged.frames.stack[:, 2]).all()
-    phase_map = decode(merged.frames, PAPER, merged.variance_dn2)
+    phase_map = decode(merged.frames, PAPER, merged.variance)
     assert phase_map.valid.all(axis=1).tolist() == [True, True, False]
     assert not phase_map.valid[2].any()
     error = phase_map.absolute[:2] - 2 * pi * column / 12

@@ -22,7 +22,7 @@ AIRY_RADIUS_PX = 2.16
 RIM_PX = 8  # of a cropped picture: what lies outside it is blurred into it, and unlike a whole picture's rim it is lit
 CROP = ("camera.rows=180", "camera.cols=240")  # 2.4 x 1.8 mm in the middle, in the pixels of the full camera
 PERFECT_STAGE = ("position_sd_um", "straightness_sd_um", "pitch_roll_sd_urad", "axis_sd_deg")
-PERFECT = tuple(f"twin.stage.{name}=0" for name in PERFECT_STAGE)
+PERFECT = ("twin.optics.glass=false", *(f"twin.stage.{name}=0" for name in PERFECT_STAGE))
 POSTURES = (0, 2, 4, 6, 7, None)  # as few as calibrate the camera
 
 
@@ -68,7 +68,7 @@ def with_noise(rig: gt.TwinRig) -> PhaseMap:
     shortest, longest = (limit / rig.camera.exposure_us for limit in rig.camera.exposure_limits_us)
     ratios = [ratio for ratio in rig.procedure.brackets if shortest <= ratio <= longest]
     merged = capture_bracketed(rig, fringes(rig).patterns(*rig.projector.shape), ratios)
-    return decode(merged.frames, fringes(rig), merged.variance_dn2)
+    return decode(merged.frames, fringes(rig), merged.variance)
 
 
 @lru_cache

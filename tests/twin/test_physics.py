@@ -8,14 +8,18 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy.ndimage import uniform_filter
+from scipy.spatial.transform import Rotation
 from scipy.special import gamma as gamma_function
 from scipy.stats import chi2
 
 from greenough.instrument.contract import Placement
 from greenough.scenes.board import BoardErrors, print_board
+from greenough.scenes.parts import Part
 from greenough.twin.randomness import instrument_rng
+from greenough.twin.renderer import mi
 from greenough.twin.rig import TwinRig, fringe_patterns
-from greenough.twin.settings import StageSettings
+from greenough.twin.scene import specimen_dict
+from greenough.twin.settings import RenderSettings, StageSettings
 from greenough.twin.stage import build_stage
 
 IDEAL = "twin.optics.glass=false"
@@ -307,3 +311,37 @@ def test_a_spot_is_seen_where_it_was_printed(small):
     expected = np.array([x * np.cos(HALF_ANGLE), -y]) / PIXEL
     # Hands turn the board by up to some degrees.
     assert_allclose(middle_spot(on) - middle_spot(off), expected, atol=0.08 * np.linalg.norm(expected))
+
+
+# Surfaces
+
+
+@pytest.mark.parametrize(("material", "alpha"), [("metal", 0.25), ("solder", 0.2)])
+@pytest.mark.parametrize("tilt_deg", [0.0, 12.0])
+def test_metal_reflects_by_its_microfacets(small, material, alpha, tilt_deg):
+    """Against a matt surface of the same reflectance rho, whose radiance is rho / pi: pi D G / (4 cos_in cos_out).
+
+    D and G of Walter et al., Microfacet Models for Refraction through Rough Surfaces (2007), for GGX.
+    """
+    rig = mounted(small, size=(4, 4))
+    parts = rig.scene_dict(np.full((1, *rig.projector.shape), 255, np.uint8))
+    tilt = np.radians(tilt_deg)
+    corners = (
+        6
+        * np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+        @ Rotation.from_rotvec([0, tilt, 0]).as_matrix().T
+    )
+    plane = Part(corners, np.array([[0, 1, 2], [0, 2, 3]], np.int32), None, material)
+    bright = []
+    for matt in (True, False):
+        scene = mi.load_dict(parts | specimen_dict([plane], RenderSettings(diffuse_only=matt)))
+        bright.append(float(np.mean(np.array(mi.render(scene)))))
+    normal, camera, projector = (np.array([np.sin(a), 0, np.cos(a)]) for a in (tilt, -HALF_ANGLE, HALF_ANGLE))
+    cos_out, cos_in = normal @ camera, normal @ projector
+    cos_half = normal[2]  # halfway between the two paths is upwards
+    facets = alpha**2 / (np.pi * (1 + cos_half**2 * (alpha**2 - 1)) ** 2)
+    unshadowed = [2 / (1 + np.sqrt(1 + alpha**2 * (1 / c**2 - 1))) for c in (cos_in, cos_out)]
+    expected = np.pi * facets * np.prod(unshadowed) / (4 * cos_in * cos_out)
+    # The pupils are 1.7 degrees wide, over which D is a little curved.
+    assert bright[1] / bright[0] == pytest.approx(expected, rel=5e-3)
+    assert bright[1] / bright[0] > 1.5

@@ -87,9 +87,10 @@ def test_a_decentred_element_displaces_what_the_middle_of_the_image_sees(name, e
     assert ray.crossing(sharp)[0, 0, 1] == pytest.approx(0, abs=1e-12)
 
 
-def test_a_tilted_sensor_tilts_the_plane_in_focus():
-    """Scheimpflug: a sensor tilted by a small angle tilts the sharp plane by the angle over the magnification."""
-    prescription = load_prescription("camera")
+@pytest.mark.parametrize(("name", "magnification"), [("camera", -0.378791), ("projector", 0.606061)])
+def test_a_tilted_sensor_or_mirror_array_tilts_the_plane_in_focus(name, magnification):
+    """Scheimpflug: an image tilted by a small angle tilts the sharp plane by the angle over the magnification."""
+    prescription = load_prescription(name)
     angle = 0.01
     field = np.array([[-2.0, 0.0], [2.0, 0.0]])
     points = image_points(place(prescription), field)
@@ -98,4 +99,4 @@ def test_a_tilted_sensor_tilts_the_plane_in_focus():
         for tilt in (0.0, angle)
     )
     slope = np.diff(tilted - straight)[0] / 4.0
-    assert slope == pytest.approx(angle / 0.378791, rel=0.01)
+    assert slope == pytest.approx(-angle / magnification, rel=0.01)

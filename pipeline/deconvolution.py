@@ -28,7 +28,7 @@ from scipy.ndimage import distance_transform_edt
 from greenough.instrument.errors import InputError
 
 from .decode import PhaseMap
-from .local_planes import fit_local_planes
+from .local_planes import LocalPlanes
 from .phasor_filter import linear_course
 from .point_spread import PointSpread
 
@@ -149,8 +149,9 @@ def _free(measured: _Measured, blur: "_Blur", nearest_valid: tuple[np.ndarray, n
     wanted = blur.transposed(weight * modulation)
     brightness, phase, steps = modulation, measured.phase, 0
     averaged, blurred = phase, measured.carrier
+    planes = LocalPlanes.under(measured.phase_weight, AVERAGE_SIGMA_PX)
     for _ in range(_PHASE_STEPS):
-        averaged = fit_local_planes(phase, measured.phase_weight, AVERAGE_SIGMA_PX)[nearest_valid]
+        averaged = planes.fit(phase)[nearest_valid]
         rotor = measured.carrier * np.exp(1j * averaged).astype(np.complex64)
         blurred = blur.forward(brightness * rotor)
         for _ in range(_BRIGHTNESS_STEPS):

@@ -1,24 +1,29 @@
-"""The one filter there is: a Gaussian on the fringes' phasors, applied only when asked for."""
+"""The one filter there is: a Gaussian on the fringes' phasors, applied only when asked for.
+
+A plain mean of the phasors B exp(iΦ) under a Gaussian would draw the phase towards the brighter side where brightness
+and phase both change, as the lens's blur does. So the unit phasors exp(iΦ) have the weights of their information,
+1 / sigma², and a plane is fitted to them around each pixel, whose value there is taken: the phase of a plane stays what
+it is under any brightness, and where brightness is even this is the plain mean under the Gaussian.
+"""
 
 from dataclasses import replace
 
-import cv2
 import numpy as np
 
 from greenough.instrument.errors import InputError
 
 from .decode import PhaseMap
+from .local_planes import LocalPlanes
 
 _FWHM_PER_SIGMA = 2 * np.sqrt(2 * np.log(2))
-_REACH = 4.0  # sigmas
+_LEAST_SIGMA = 1e-3  # of the largest: keeps the weights of perfect frames finite
 
 
 def filter_phasors(phase_map: PhaseMap, fwhm_px: float) -> PhaseMap:
-    """Replace the phase by that of the Gaussian-weighted mean of the neighbouring phasors B exp(iΦ).
+    """Replace the phase by that of the plane fitted to the neighbouring phasors exp(iΦ) under a Gaussian.
 
     The phase's best-fitted linear course over the picture is taken out before and put back after: otherwise the fringes
-    themselves would fade, and a pixel beside invalid ones would take the phase of the middle of its valid neighbours.
-    No fringe order is changed, no invalid pixel is filled, and invalid pixels have no weight.
+    themselves would fade. No fringe order is changed, no invalid pixel is filled, and invalid pixels have no weight.
 
     Parameters
     ----------
@@ -40,32 +45,23 @@ def filter_phasors(phase_map: PhaseMap, fwhm_px: float) -> PhaseMap:
     if not 0 < fwhm_px <= widest:
         raise InputError(f"the filter's width is {fwhm_px:g} px: it must be above 0 and at most {widest:g} px")
     valid = phase_map.valid
-    kernel = _gaussian(fwhm_px / _FWHM_PER_SIGMA)
-    carrier = linear_course(phase_map.absolute, valid)
-    rest = np.where(valid, phase_map.absolute - carrier, 0.0)
-    amplitude = np.where(valid, phase_map.modulation, 0.0).astype(np.float64)
-    real, imaginary = _smooth(amplitude * np.cos(rest), kernel), _smooth(amplitude * np.sin(rest), kernel)
+    if not valid.any():
+        return phase_map
+    course = linear_course(phase_map.absolute, valid)
+    rest = np.where(valid, phase_map.absolute - course, 0.0)
+    noise = np.where(valid, phase_map.sigma, 0.0).astype(np.float64)
+    weight = np.where(valid, np.maximum(noise, _LEAST_SIGMA * noise.max() or 1.0) ** -2, 0.0)
+    planes = LocalPlanes.under(weight, fwhm_px / _FWHM_PER_SIGMA)
+    real, imaginary = planes.fit(np.cos(rest)), planes.fit(np.sin(rest))
     filtered = np.arctan2(imaginary, real)
     filtered += 2 * np.pi * np.rint((rest - filtered) / (2 * np.pi))
-    # Independent noise: the phasors' noise B sigma adds up in quadrature under the kernel.
-    noise = _smooth((amplitude * np.where(valid, phase_map.sigma, 0.0)) ** 2, kernel**2)
     with np.errstate(divide="ignore", invalid="ignore"):
-        sigma = np.where(valid, np.sqrt(noise) / np.hypot(real, imaginary), phase_map.sigma)
+        sigma = np.sqrt(planes.variance(noise**2)) / np.hypot(real, imaginary)
     return replace(
         phase_map,
-        absolute=np.where(valid, filtered + carrier, np.nan).astype(phase_map.absolute.dtype),
-        sigma=sigma.astype(phase_map.sigma.dtype),
+        absolute=np.where(valid, filtered + course, np.nan).astype(phase_map.absolute.dtype),
+        sigma=np.where(valid, sigma, phase_map.sigma).astype(phase_map.sigma.dtype),
     )
-
-
-def _gaussian(sigma: float) -> np.ndarray:
-    reach = int(np.ceil(_REACH * sigma))
-    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
-    return kernel / kernel.sum()
-
-
-def _smooth(image: np.ndarray, kernel: np.ndarray) -> np.ndarray:
-    return cv2.sepFilter2D(image, cv2.CV_64F, kernel, kernel, borderType=cv2.BORDER_CONSTANT)
 
 
 def linear_course(absolute: np.ndarray, valid: np.ndarray) -> np.ndarray:

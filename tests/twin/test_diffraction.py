@@ -115,6 +115,46 @@ def test_the_figures_that_the_module_states_for_the_product_hold():
     assert (product <= wave + 1e-9).all()
 
 
+@pytest.mark.parametrize(("defocus", "noise_percent"), [(0.5, 0.25), (1.5, 1.9)])
+def test_the_product_overstates_noise_by_less_than_two_percent(defocus, noise_percent):
+    """Noise of the phase is in proportion to the inverse of the contrast, which both paths lower alike."""
+    wave = np.interp(FRINGE, *transfer_from_pupil(defocus))
+    product = optical_transfer(np.array(FRINGE), NA, WAVELENGTH) * geometric_transfer(np.array(FRINGE), NA, defocus)
+    assert 0 < 100 * ((wave / product) ** 2 - 1) < noise_percent
+
+
+@pytest.mark.parametrize(("defocus", "bound_um", "at_least_um"), [(0.25, 0.5, 0.3), (0.5, 1.5, 1.2), (1.5, 6.5, 6.0)])
+def test_the_product_drags_phases_on_waves_of_brightness_by_so_much_more_or_less(defocus, bound_um, at_least_um):
+    """A fringe of frequency f under 1 + cos(g x) / 2, blurred by T: T(f) + T(f + g) e^(igx) / 4 + T(f - g) e^(-igx) / 4.
+
+    The worst over all waves up to the pixels' limit, in height at 0.163 mm/rad, as ``docs/physics.md`` states it.
+    """
+    frequency, wave = transfer_from_pupil(defocus)
+    product = optical_transfer(frequency, NA, WAVELENGTH) * geometric_transfer(frequency, NA, defocus)
+    g = np.arange(0.1, 50, 0.1)[:, None]
+    turn = np.exp(2j * np.pi * np.arange(180) / 180)
+
+    def dragged(transfer: np.ndarray) -> np.ndarray:
+        def t(f: np.ndarray) -> np.ndarray:
+            return np.interp(np.abs(f), frequency, transfer, right=0) * np.sinc(f * 224.56 / 22683)
+
+        return t(FRINGE + 0 * g) + t(FRINGE + g) * turn / 4 + t(FRINGE - g) * turn.conj() / 4
+
+    apart = 163.1 * np.abs(np.angle(dragged(wave) * dragged(product).conj()))
+    assert at_least_um < apart.max() < bound_um
+
+
+def test_the_wave_optical_spot_keeps_a_peak_that_the_product_loses():
+    """A defocused pupil leaves (sin w / w)^2 of it, w = pi NA^2 z / (2 wavelength) (Born and Wolf, 8.8)."""
+    frequency, wave = transfer_from_pupil(1.5)
+    focused = optical_transfer(frequency, NA, WAVELENGTH)
+    product = focused * geometric_transfer(frequency, NA, 1.5)
+    of_wave, of_product = ((t * frequency).sum() / (focused * frequency).sum() for t in (wave, product))
+    w = np.pi * NA**2 * 1.5 / (2 * WAVELENGTH)
+    assert of_wave == pytest.approx((np.sin(w) / w) ** 2, abs=2e-3)
+    assert of_product == pytest.approx(0.21, abs=5e-3)
+
+
 def test_the_airy_disc_of_the_default_path_has_a_radius_of_21_um_and_holds_its_share_of_the_light():
     radius = airy_radius(NA, WAVELENGTH)
     assert radius == pytest.approx(0.61 * WAVELENGTH / NA, rel=1e-3)

@@ -1,4 +1,4 @@
-"""The digital twin: a profilometer made of ideal lenses and a renderer, behind the same contract as the real one.
+"""The digital twin: a profilometer made of lenses and a renderer, behind the same contract as the real one.
 
 ``open`` gives the rig and, beside it, the bench that knows the truth; ``scene_dict`` is the Mitsuba scene. Mitsuba is
 loaded when one of the names is first used.

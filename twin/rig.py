@@ -103,7 +103,7 @@ class TwinOperator:
 
 
 class TwinRig:
-    """A profilometer of ideal lenses, rendered; see ``greenough.instrument.contract.Rig``."""
+    """A profilometer, rendered; see ``greenough.instrument.contract.Rig``."""
 
     def __init__(self, rig_file: RigFile, workbench: Workbench, run: str, exposures_done: int) -> None:
         self._rig_file = rig_file
@@ -218,6 +218,9 @@ class Renderer:
         """Radiance of each pattern, N arrays of (rows * cols,), the patterns moved by ``shift`` (N, 2)."""
         check_patterns(patterns, self._projector_shape)
         shift = np.zeros((len(patterns), 2)) if shift is None else shift
+        # Of a pattern of one grey value only the rim moves: images that set the exposure need not be rendered again.
+        uniform = patterns.min(axis=(1, 2)) == patterns.max(axis=(1, 2))
+        shift = np.where(uniform[:, None], 0.0, shift)
         place = (self._workbench.mounted, self._workbench.position)
         shown = (*place, hashlib.sha256(patterns.tobytes()).digest())
         state = (*shown, shift.tobytes())
@@ -250,7 +253,7 @@ class Renderer:
         return {
             "type": "scene",
             "embree_use_robust_intersections": True,
-            "integrator": integrator_dict(self._settings.render, mounted.plain, mounted.flat),
+            "integrator": integrator_dict(self._settings.render, mounted.flat),
             "sensor": self._sensor,
             "projector": projector,
         } | specimen_dict(self._workbench.parts_in_twin(), self._settings.render)

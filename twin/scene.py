@@ -130,16 +130,17 @@ def specimen_dict(parts: Sequence[Part], render: RenderSettings) -> dict[str, mi
     return {f"part_{k}": _mesh(f"part_{k}", part, render.diffuse_only) for k, part in enumerate(parts)}
 
 
-def integrator_dict(render: RenderSettings, plain: bool, flat: bool) -> dict[str, Any]:
-    """The one-pass integrator for a specimen that is ``plain`` (one material, no relief) or ``flat`` (no relief)."""
+def integrator_dict(render: RenderSettings, flat: bool) -> dict[str, Any]:
+    """The one-pass integrator for a specimen with or without relief."""
     integrator = {
         "type": "fringe",
         "nodes": render.nodes,
         "nodes_indirect": render.nodes_indirect,
         "smoothing": render.smoothing_px,
-        "bounces": 1 if flat else render.bounces,
+        "bounces": render.bounces,
     }
-    return integrator | {"node_table": mi.TensorXf(designed_nodes())} if plain else integrator
+    plain = {"node_table": mi.TensorXf(designed_nodes()), "nodes_edges": render.nodes_edges, "bounces": 1}
+    return integrator | plain if flat else integrator
 
 
 def _mesh(name: str, part: Part, diffuse_only: bool) -> mi.Mesh:

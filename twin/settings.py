@@ -27,7 +27,7 @@ class OpticsSettings(BaseModel):
     """
 
     model_config = _STRICT
-    glass: bool = False  # false: ideal lenses, whose paths stand where they should
+    glass: bool = True  # false: ideal lenses, whose paths stand where they should
     na: Annotated[float, Field(gt=0, le=0.019)] = 0.015  # above, the mirrors' lattice itself would be projected
     wavelength_um: Annotated[float, Field(gt=0.2, lt=2)] = 0.525
     convergence_deg: Annotated[float, Field(gt=1, lt=60)] = 12.0
@@ -109,13 +109,14 @@ class BoardSettings(BaseModel):
 
 
 class RenderSettings(BaseModel):
-    """Light paths per pixel of specimens with texture or relief, and for their interreflections.
+    """Light paths per pixel: of specimens with relief, of the edges on boards, and for interreflections.
 
-    Plain planes are rendered with the 16 designed nodes of ``greenough.twin.node_design``.
+    Planes and boards away from edges are rendered with the 16 designed nodes of ``greenough.twin.node_design``.
     """
 
     model_config = _STRICT
     nodes: Nodes = 64
+    nodes_edges: Nodes = 256
     nodes_indirect: Nodes = 16
     smoothing_px: Annotated[int, Field(ge=0, le=16)] = 4  # of interreflections along smooth surfaces; 0 is unbiased
     bounces: Annotated[int, Field(ge=1, le=8)] = 2  # surface interactions of a path: 1 has no interreflection

@@ -19,6 +19,7 @@ from greenough.twin.validation.prediction import predict_height_error
 
 AIRY_RADIUS_PX = 2.16
 PERFECT = (
+    "twin.optics.glass=false",
     "camera.bits=0",
     *(f"twin.camera.{name}" for name in ("shot_noise=false", "read_noise_e=0", "prnu=0", "dsnu_e=0")),
     *(f"twin.stage.{n}=0" for n in ("position_sd_um", "straightness_sd_um", "pitch_roll_sd_urad", "axis_sd_deg")),

@@ -10,6 +10,9 @@
  * - node_table: tensor (nodes, 6)
      The nodes of the direct light themselves, in the unit cube: pixel, sensor's pupil, projector's pupil. It replaces
      the low-discrepancy ones unless ``spp`` asks for another number.
+ * - nodes_edges: integer
+     Light paths per pixel, a power of two, where a pixel's blur may hold more than one shape (default: as many as
+     elsewhere; ``spp`` too sets them alike).
  * - bounces: integer
      Surface interactions of a path: 1 is direct light only, 2 adds one interreflection (default: 2).
  * - guided: boolean
@@ -42,6 +45,7 @@ from .guiding import Guide, look_around
 from .lens_projector import LensProjector
 from .lens_sensor import BORDER, LensSensor
 from .smoothing import smoothed
+from .survey import survey
 
 DIMENSIONS_CAMERA = 4  # pixel, camera pupil
 DIMENSIONS_LIGHT = 2  # pupil of an emitter
@@ -59,6 +63,7 @@ class FringeIntegrator(mi.SamplingIntegrator):
         self.nodes = int(props.get("nodes", 16))
         if self.node_table is not None:
             self.nodes = len(self.node_table)
+        self.nodes_edges = int(props.get("nodes_edges", self.nodes))
         self.nodes_indirect = int(props.get("nodes_indirect", self.nodes))
         self.bounces = int(props.get("bounces", 2))
         self.guided = bool(props.get("guided", True))
@@ -90,7 +95,7 @@ class FringeIntegrator(mi.SamplingIntegrator):
         ``interreflections`` of the same scene, or one that differs by less than they can show, are not rendered again.
         """
         with dr.suspend_grad():
-            channels = self._accumulate(scene, sensor, seed, spp or self.nodes, False, partial(self._visible, scene))
+            channels = self._direct_light(scene, sensor, seed, spp)
             if self.bounces > 1:
                 dr.eval(channels)
                 more = interreflections or self.render_interreflections(scene, sensor, seed, spp)
@@ -99,6 +104,20 @@ class FringeIntegrator(mi.SamplingIntegrator):
             dr.eval(channels, lit)
         return _diffracted(channels, lit, sensor) if _border(sensor) else channels
 
+    def _direct_light(self, scene: mi.Scene, sensor: mi.Sensor, seed: mi.UInt32 | int, spp: int) -> list[mi.Float]:
+        seen = survey(scene, _size(sensor), partial(_camera_ray, sensor))
+        channels = [dr.zeros(mi.Float, dr.prod(_size(sensor))) for _ in range(_channels(scene))]
+        parts = [(seen.lit, spp or self.nodes)]
+        if not spp and self.nodes_edges != self.nodes:
+            parts.append((seen.edges, self.nodes_edges))
+        for pixel, count in parts:
+            if dr.width(pixel):
+                light = self._accumulate(scene, sensor, pixel, seed, count, False, partial(self._visible, scene))
+                for channel, value in zip(channels, light, strict=True):
+                    dr.scatter(channel, value, pixel)
+                dr.eval(channels)
+        return channels
+
     def render_interreflections(
         self, scene: mi.Scene, sensor: mi.Sensor, seed: mi.UInt32 | int = 0, spp: int = 0
     ) -> list[mi.Float]:
@@ -106,27 +125,27 @@ class FringeIntegrator(mi.SamplingIntegrator):
         count = max(2, self.nodes_indirect * (spp or self.nodes) // self.nodes)
         with dr.suspend_grad():
             guide = self._guide(scene, sensor) if self.guided else None
-            channels = self._accumulate(scene, sensor, seed, count, True, partial(self._indirect, scene, guide))
+            pixel = dr.arange(mi.UInt32, dr.prod(_size(sensor)))
+            channels = self._accumulate(scene, sensor, pixel, seed, count, True, partial(self._indirect, scene, guide))
             if self.smoothing:
                 channels = self._smoothed(channels, scene, sensor)
             dr.eval(channels)
         return channels
 
     @dr.syntax
-    def _accumulate(self, scene, sensor, seed, count, indirect, trace):
-        """Mean of ``trace`` over ``count`` nodes, N arrays."""
+    def _accumulate(self, scene, sensor, pixel, seed, count, indirect, trace):
+        """Mean of ``trace`` over ``count`` nodes in each ``pixel``, N arrays."""
         dimensions = DIMENSIONS_CAMERA + DIMENSIONS_LIGHT
         if dr.hint(indirect, mode="scalar"):
             dimensions += DIMENSIONS_BOUNCE * (self.bounces - 1) + DIMENSIONS_GUIDE
         designed = self.node_table is not None and count == self.nodes and not indirect
         table = mi.Float((self.node_table if designed else nodes(count, dimensions)).ravel().astype(np.float32))
-        pixel = dr.arange(mi.UInt32, dr.prod(_size(sensor)))
         if dr.hint(indirect or self.shift_per_pixel, mode="scalar"):
             # Hashed: streams that are numbered one by one are correlated between neighbouring pixels.
             key = (2 * mi.UInt32(seed) if self.shift_per_pixel else mi.UInt32(0)) + int(indirect)
             dr.make_opaque(key)
             state, stream = mi.sample_tea_32(pixel, key)
-            rng = mi.PCG32(dr.width(pixel), state, stream)
+            rng = mi.PCG32(1, state, stream)  # numbered by pixel, not by lane
             shift = [rng.next_float32() for _ in range(dimensions)]
         else:
             shift = [mi.Float(0) for _ in range(dimensions)]

@@ -123,6 +123,15 @@ class LensProjector(mi.Emitter):
         white = self.irradiance * dr.square(reach) * distance / local.z
         return self.to_world @ pupil, column, row, dr.select(local.z > 0, white, 0.0)
 
+    def reaches(self, column: mi.Float, row: mi.Float, across: mi.Float, down: mi.Float) -> mi.Bool:
+        """Whether any pattern has light within so many columns and rows of (column, row)."""
+        rows, cols = self.table_shape
+        if self.interpolate and rows == 1:
+            rows = dr.width(self.row_profile)
+        x, y = (column - self.origin[0]) * self.cells[0], (row - self.origin[1]) * self.cells[1]
+        dx, dy = across * self.cells[0] + 1, down * self.cells[1] + 1
+        return (x > -dx) & (x < cols - 1 + dx) & (y > -dy) & (y < rows - 1 + dy)
+
     @dr.syntax
     def light(self, column: mi.Float, row: mi.Float, active: mi.Bool) -> list[mi.Float]:
         """Relative light of every pattern at (column, row): a list of N."""

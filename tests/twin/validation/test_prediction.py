@@ -18,7 +18,7 @@ from greenough.twin.validation.prediction import LAYER_MM, blur, predict_height_
 AIRY_RADIUS_PX = 2.16
 CROP = ("camera.rows=180", "camera.cols=240")  # 2.4 x 1.8 mm in the middle, in the pixels of the full camera
 PERFECT_STAGE = ("position_sd_um", "straightness_sd_um", "pitch_roll_sd_urad", "axis_sd_deg")
-PERFECT = tuple(f"twin.stage.{name}=0" for name in PERFECT_STAGE)
+PERFECT = ("twin.optics.glass=false", *(f"twin.stage.{name}=0" for name in PERFECT_STAGE))
 
 
 def transfer(cycles_per_px: float, defocus: float, optics: OpticsSettings) -> float:

@@ -125,7 +125,7 @@ def test_the_product_overstates_noise_by_less_than_two_percent(defocus, noise_pe
 
 @pytest.mark.parametrize(("defocus", "bound_um", "at_least_um"), [(0.25, 0.5, 0.3), (0.5, 1.5, 1.2), (1.5, 6.5, 6.0)])
 def test_the_product_drags_phases_on_waves_of_brightness_by_so_much_more_or_less(defocus, bound_um, at_least_um):
-    """A fringe of frequency f under 1 + cos(g x) / 2, blurred by T: T(f) + T(f + g) e^(igx) / 4 + T(f - g) e^(-igx) / 4.
+    """A fringe of frequency f under 1 + cos(g x) / 2, through T: T(f) + T(f + g) e^(igx) / 4 + T(f - g) e^(-igx) / 4.
 
     The worst over all waves up to the pixels' limit, in height at 0.163 mm/rad, as ``docs/physics.md`` states it.
     """

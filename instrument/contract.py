@@ -29,7 +29,8 @@ class Placement:
     unit : str
         Unit of a mesh file: ``"mm"``, ``"um"``, ``"m"`` or ``"inch"``.
     pose_mm_deg : tuple of 6 floats
-        Where a person puts a mesh file: x, y, z in mm and rotations about x, y, z in degrees, applied in that order.
+        Where a person puts a sample or a mesh file: rotations about x, y, z in degrees, applied in that order, after
+        which it is shifted by x, y, z in mm.
     """
 
     part: str

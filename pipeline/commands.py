@@ -60,7 +60,7 @@ def measure(
     out: Annotated[Path, typer.Option("--out", metavar="CLOUD.ply", help="The point cloud to write.")],
     unit: Annotated[str, typer.Option("--unit", help="Unit of a mesh file: mm, um, m or inch.")] = "mm",
     pose: Annotated[
-        str, typer.Option("--pose", metavar="X,Y,Z,A,B,C", help="Where a mesh file lies: mm and degrees about x, y, z.")
+        str, typer.Option("--pose", metavar="X,Y,Z,A,B,C", help="Where the sample lies: mm and degrees about x, y, z.")
     ] = "0,0,0,0,0,0",
     bracket: Annotated[
         bool, typer.Option("--bracket", help="Merge the exposures of procedure.brackets, for shiny parts.")

@@ -6,7 +6,7 @@ from greenough.instrument.errors import InputError
 
 from .calibration import Calibration, Residuals
 from .calibration_data import CalibrationData
-from .phase_height import fit_phase_height
+from .phase_height import PhaseHeightFit, fit_phase_height
 from .pixel_maps import plane_residuals
 from .rays import rays_of_camera
 
@@ -25,13 +25,7 @@ def calibrate_by_paper(data: CalibrationData) -> Calibration:
         If the planes do not determine the relation, or share no pixel with the blank side at stage position 0.
     """
     camera = data.camera
-    fit = fit_phase_height(data.phases, data.readings_mm)
-    # Readings err, and their fit need not pass through the shared posture: heights are counted from there.
-    zero = fit.relation.height(data.phase_at_zero)
-    if not np.isfinite(zero).any():
-        raise InputError("the blank side at stage position 0 shares no pixel with the planes: lay it into the light.")
-    heights = data.readings_mm - np.nanmean(zero)
-    fit = fit_phase_height(data.phases, heights)
+    fit, heights = fit_planes(data.phase_at_zero, data.phases, data.readings_mm)
     rays = rays_of_camera(camera.camera, camera.camera_from_world)
     planes = plane_residuals(fit.relation, rays, data.phases, lambda k, xy: np.full(len(xy), heights[k]))
     rmse_u, rmse_v = camera.reprojection_rmse_px
@@ -77,3 +71,32 @@ def calibrate_by_paper(data: CalibrationData) -> Calibration:
             pixels_um=planes.pixels_um,
         ),
     )
+
+
+def fit_planes(
+    phase_at_zero: np.ndarray, phases: np.ndarray, readings_mm: np.ndarray
+) -> tuple[PhaseHeightFit, np.ndarray]:
+    """Every pixel's relation, with the stage's readings taken for heights, and the heights of the planes.
+
+    Readings err, and their fit need not pass through the posture that the board's two sides share: heights are counted
+    from there.
+
+    Parameters
+    ----------
+    phase_at_zero : (rows, cols)
+        Absolute phase of the blank side where the flat board lay, rad, NaN where invalid.
+    phases : (planes, rows, cols)
+        The same at the planes.
+    readings_mm : (planes,)
+        The stage's.
+
+    Raises
+    ------
+    InputError
+        If the planes do not determine the relation, or share no pixel with the blank side at stage position 0.
+    """
+    zero = fit_phase_height(phases, readings_mm).relation.height(phase_at_zero)
+    if not np.isfinite(zero).any():
+        raise InputError("the blank side at stage position 0 shares no pixel with the planes: lay it into the light.")
+    heights = readings_mm - np.nanmean(zero)
+    return fit_phase_height(phases, heights), heights

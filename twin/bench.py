@@ -76,6 +76,11 @@ class Bench:
         """Where the mounted part really is, (4, 4)."""
         return self.world_from_twin @ self._workbench.drifted_twin_from_part()
 
+    @property
+    def printed_centres(self) -> np.ndarray:
+        """The calibration board's spots as they were printed, (spots, 2) mm in the board's frame."""
+        return self._workbench.printed_board("board").centres
+
     def blank_face_height(self, reading: float, xy_world: np.ndarray) -> np.ndarray:
         """Where the board's blank face truly is during calibration: heights (n,) at ``xy_world`` (n, 2), mm."""
         return self._workbench.blank_face_height(reading, xy_world)

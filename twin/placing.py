@@ -1,5 +1,7 @@
 """How the operator's hands lay parts on the table: drawn from the instrument's seed, and never told to the pipeline."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -37,6 +39,11 @@ def flat(seed: int, what: str) -> np.ndarray:
     rng = instrument_rng(seed, f"flat {what}")
     turn = Rotation.from_rotvec([0, 0, np.radians(rng.normal())])
     return rigid(turn, [*rng.normal(0, 0.1, 2), 0.0])
+
+
+def posed(pose_mm_deg: Sequence[float]) -> np.ndarray:
+    """Motion (4, 4) of a part that is put as `greenough.instrument.contract.Placement` says."""
+    return rigid(Rotation.from_euler("xyz", pose_mm_deg[3:], degrees=True), list(pose_mm_deg[:3]))
 
 
 def on_wedge(gradient: np.ndarray) -> np.ndarray:

@@ -15,7 +15,7 @@ from greenough.scenes.catalogue import NAMES, specimen
 from greenough.scenes.mesh_file import load_mesh
 from greenough.scenes.parts import Part, Specimen, transform
 
-from .placing import flat, lifted, on_wedge, tilted
+from .placing import flat, lifted, on_wedge, posed, tilted
 from .randomness import instrument_rng
 from .settings import TwinSettings
 from .stage import StageErrors, build_stage, rigid
@@ -25,12 +25,11 @@ BOARDS = ("board", "second-board")
 
 @dataclass(frozen=True, eq=False)
 class Mounted:
-    """A specimen on the table: whether it is of one colour and without relief decides how it must be sampled."""
+    """A specimen on the table: whether it has relief decides how it must be sampled."""
 
     placement: Placement
     specimen: Specimen
     table_from_part: np.ndarray  # (4, 4)
-    plain: bool  # one material and no relief
     flat: bool  # no relief: it cannot light itself
 
 
@@ -76,18 +75,18 @@ class Workbench:
                 pose = self.table_from_flat_board(placement.part)
             else:
                 pose = self.table_from_turned_board(placement.part)
-            return Mounted(placement, board(printed, placement.face), pose, plain=placement.face == "blank", flat=True)
+            return Mounted(placement, board(printed, placement.face), pose, flat=True)
         if Path(placement.part).suffix:
             part = load_mesh(placement.part, placement.unit, placement.pose_mm_deg)
-            return Mounted(placement, part, np.eye(4), plain=False, flat=False)
+            return Mounted(placement, part, np.eye(4), flat=False)
         if placement.part not in NAMES:
             known = ", ".join((*BOARDS, *NAMES))
             raise InputError(
                 f"unknown sample {placement.part!r}; choose one of {known}, or give the path of a mesh file."
             )
         part = specimen(placement.part, seed)
-        is_plane = placement.part == "plane"
-        return Mounted(placement, part, flat(seed, placement.part), plain=is_plane, flat=is_plane)
+        table_from_part = flat(seed, placement.part) @ posed(placement.pose_mm_deg)
+        return Mounted(placement, part, table_from_part, flat=placement.part == "plane")
 
     def table_from_flat_board(self, part: str = "board") -> np.ndarray:
         """Motion (4, 4) of the board that lies on its blank face."""

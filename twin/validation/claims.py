@@ -13,6 +13,12 @@ from typing import Any
 
 from greenough.instrument.files import atomic_path
 
+TOSS_UP_SDS = 3.0
+"""A limit within so many standard deviations of a prediction leaves open what to expect: chance decides.
+
+Of a figure whose prediction lies just farther away, a normal deviate puts 1 in 740 on the limit's other side. That is
+the rate of false alarms of such a row at worst."""
+
 PACKAGES = ("greenough", "mitsuba", "drjit", "numpy", "scipy", "opencv-python-headless", "libigl")
 
 
@@ -46,11 +52,15 @@ class Claim:
     holds : bool or None
         Whether it does; None without a limit.
     expected_to_hold : bool or None
-        False only where the physics says that it cannot; ``predicted`` then says what must come instead.
+        False only where the physics says that it cannot; ``predicted`` then says what must come instead. None without
+        a limit, and where the prediction lies so near to it that chance decides (`expectation`).
     criterion : str
         The rule in words.
     predicted : float or None
         What an independent model expects of the figure, in ``unit``.
+    predicted_sd : float or None
+        Standard deviation of the figure about the prediction, in ``unit``: of sampling, and of what the model leaves to
+        chance. None where the row states no spread.
     """
 
     claim: str
@@ -68,11 +78,29 @@ class Claim:
     expected_to_hold: bool | None
     criterion: str
     predicted: float | None = None
+    predicted_sd: float | None = None
 
     @property
     def as_expected(self) -> bool:
-        """Whether the row behaves as it should: held where it should hold, failed where it cannot."""
-        return self.holds == self.expected_to_hold
+        """Whether the row behaves as it should: held where it should hold, failed where it cannot, or open."""
+        return self.expected_to_hold is None or self.holds == self.expected_to_hold
+
+
+def expectation(predicted_to_hold: bool, margin: float, predicted_sd: float | None) -> bool | None:
+    """What to expect of a row with a prediction: to hold, to fail, or either.
+
+    Parameters
+    ----------
+    predicted_to_hold : bool
+        Whether a figure as predicted keeps to the limit.
+    margin : float
+        Distance of the prediction from the limit.
+    predicted_sd : float or None
+        Standard deviation of the figure about the prediction. Without one nothing is left open.
+    """
+    if predicted_sd is not None and margin <= TOSS_UP_SDS * predicted_sd:
+        return None
+    return predicted_to_hold
 
 
 def environment() -> dict[str, Any]:

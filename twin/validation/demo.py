@@ -10,11 +10,13 @@ from greenough.pipeline.unfinished import Unfinished
 
 from ..rig import open as open_twin
 from .claims import Claim, write_claims
+from .noise import measure_plane, noise_claims
 from .pitch import pitch_claims
-from .planes import VOLUME_HEIGHTS_MM, measure_plane, measure_volume, noise_claims, step_claims, volume_claims
 from .report import SpecimenMaps, specimen_maps, write_report
 from .setup import Setup
 from .specimens import DECONVOLVED, RAW, SPECIMENS, ball_claims, measure_specimen, specimen_claims
+from .step import step_claims
+from .volume import PLANES, measure_volume, volume_claims
 
 CALIBRATION_RUN = "demo calibration"
 MEASUREMENT_RUN = "demo measurement"
@@ -30,7 +32,7 @@ T = TypeVar("T")
 def steps(rig_name: str, overrides: Sequence[str]) -> int:
     """How many equal steps of progress a demo takes, roughly a second each."""
     rig, _ = open_twin(rig_name, overrides)
-    return rig.procedure.postures + rig.procedure.planes + 1 + len(VOLUME_HEIGHTS_MM) + 4 * len(SPECIMENS) + 6
+    return rig.procedure.postures + rig.procedure.planes + 1 + PLANES + 4 * len(SPECIMENS) + 6
 
 
 def demonstrate(rig_name: str, overrides: Sequence[str], folder: Path, advance: Advance) -> list[Claim]:

@@ -1,17 +1,25 @@
-"""What stage and board as built must do to heights measured by the paper's method: a prediction without any frame.
+"""What stage, board and table as they are must do to measured heights: a prediction without any frame.
 
-The method takes the stage's readings for heights of an ideal plane. Whatever the blank side really does instead, its
-own shape included, goes into the relation that is fitted to 30 planes, and comes back with the opposite sign.
+The paper's method takes the stage's readings for heights of an ideal plane. Whatever the blank side really does instead,
+its own shape and the table's drift included, goes into the relation that is fitted to 30 planes, and comes back with
+the opposite sign. The bundle believes the board: its mean pitch is left, and the drift of the table until the flat
+posture, which defines the frame. Nothing is said of errors that either method makes in fitting.
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial import chebyshev
 from scipy.special import ndtri
 
 from ..bench import Bench
+from ..instability import Instability
+from .setup import Setup
 
 DEGREE = 3  # a pixel's relation has four effective parameters
 HALF_FIELD_MM = (3.7, 2.9)
+_QUANTILES = 199  # deviates that stand for a normal distribution: its 95 % point to 3 %
+_DRAWS = 100  # of what is left to chance: a standard deviation of them is known to 7 %
 
 
 def field_grid() -> np.ndarray:
@@ -20,29 +28,122 @@ def field_grid() -> np.ndarray:
     return np.column_stack([x.ravel(), y.ravel()])
 
 
-def systematic_error(bench: Bench, readings: np.ndarray, heights: np.ndarray) -> np.ndarray:
-    """Error of z at true ``heights`` (h,) for planes calibrated at stage ``readings`` (planes,): (h, places) mm."""
-    grid = field_grid()
+@dataclass(frozen=True)
+class Drift:
+    """How far up the table had drifted in a calibration, mm: ``planes`` are (planes,)."""
+
+    at_flat_posture: float
+    at_zero: float
+    planes: np.ndarray
+
+
+def expected_error(setup: Setup, heights: np.ndarray, places: np.ndarray | None = None) -> np.ndarray:
+    """Error of z that stage, board and table make by the setup's method at true heights; see `systematic_error`.
+
+    The bundle takes the mean pitch of its board for the drawing's: what that is too long by, all lengths become too
+    short by.
+    """
+    drift = calibration_drift(setup)
+    if setup.believes_stage:
+        return systematic_error(setup.bench, setup.readings, heights, places, drift)
+    printed, drawn = setup.bench.printed_centres, setup.calibration.board.centres()
+    excess = np.sum((printed - drawn) * drawn) / np.sum(drawn**2)  # both are centred
+    heights = _at_places(heights, field_grid() if places is None else places)
+    return -excess * heights - drift.at_flat_posture
+
+
+def systematic_error(
+    bench: Bench,
+    readings: np.ndarray,
+    heights: np.ndarray,
+    places: np.ndarray | None = None,
+    drift: Drift | None = None,
+) -> np.ndarray:
+    """Error of z by the paper's method at true heights.
+
+    Parameters
+    ----------
+    bench : Bench
+    readings : (planes,)
+        Stage positions of the calibration's planes, mm.
+    heights : (h,) or (h, places)
+        The same at all places, or of each.
+    places : (places, 2), optional
+        mm; default is ``field_grid()``.
+    drift : Drift, optional
+        None if there is none to be reckoned with.
+
+    Returns
+    -------
+    (h, places) mm
+    """
+    places = field_grid() if places is None else places
+    heights = _at_places(heights, places)
     scale = np.abs(readings).max()
-    true = np.stack([bench.blank_face_height(reading, grid) for reading in readings])  # (planes, places)
-    at_zero = bench.blank_face_height(0.0, grid)
-    error, zero = np.empty((len(heights), len(grid))), np.empty(len(grid))
-    for k in range(len(grid)):
+    true = np.stack([bench.blank_face_height(reading, places) for reading in readings])  # (planes, places)
+    at_zero = bench.blank_face_height(0.0, places)
+    if drift is not None:
+        true, at_zero = true + drift.planes[:, None], at_zero + drift.at_zero
+    error, zero = np.empty(heights.shape), np.empty(len(places))
+    for k in range(len(places)):
         relation = chebyshev.chebfit(true[:, k] / scale, readings, DEGREE)
-        error[:, k] = chebyshev.chebval(heights / scale, relation) - heights
+        error[:, k] = chebyshev.chebval(heights[:, k] / scale, relation) - heights[:, k]
         zero[k] = chebyshev.chebval(at_zero[k] / scale, relation)
     return error - zero.mean()
 
 
-def flatness_error(error: np.ndarray) -> float:
-    """Root mean square of one height's ``error`` (places,) about its best plane, mm."""
-    grid = field_grid()
-    design = np.column_stack([np.ones(len(grid)), grid])
-    rest = error - design @ np.linalg.lstsq(design, error, rcond=None)[0]
-    return float(np.sqrt(np.mean(rest**2)))
+def calibration_drift(setup: Setup) -> Drift:
+    """Drift of the table in the calibration's run.
+
+    Its planes are the last captures, after the flat posture; the few exposures to set the exposure in between are left
+    out of the count.
+    """
+    procedure, settings = setup.calibration.procedure, setup.bench.settings
+    frames = sum(procedure.steps)
+    exposures = (procedure.postures + procedure.planes) * frames
+    run = Instability(settings.stability, settings.seed, setup.calibration.run, exposures)
+    first = setup.calibration.exposures - frames * np.arange(len(setup.readings) + 2, 0, -1)
+    flat, zero, *planes = (float(run.table_drift(int(serial))[2]) for serial in np.maximum(first, 0))
+    return Drift(flat, zero, np.array(planes))
+
+
+def left_to_chance(setup: Setup, heights: np.ndarray) -> np.ndarray:
+    """Draws of the error of z at true ``heights`` (h, places) that `expected_error` does not know.
+
+    It is the drift of the projected picture against the camera, a random walk, which looks like one of the surface by
+    1 / (2 sin α) as much, where 2α is the angle between the paths. While the planes were taken it went into the
+    relation; the height that is measured is of another run and gets a drift of its own.
+
+    Returns
+    -------
+    (draws, h, places) mm
+    """
+    settings = setup.bench.settings
+    sd = 1e-3 * settings.stability.path_drift_um / (2 * np.sin(np.radians(settings.optics.convergence_deg / 2)))
+    rng = np.random.default_rng(0)
+    planes = len(setup.readings)
+    captures = setup.calibration.procedure.postures + planes
+    own = sd * rng.standard_normal((_DRAWS, 1, 1))
+    if not setup.believes_stage:
+        return np.broadcast_to(own, (_DRAWS, *heights.shape))
+    walk = sd / np.sqrt(captures) * rng.standard_normal((_DRAWS, planes + 1)).cumsum(axis=1)
+    scale = np.abs(setup.readings).max()
+
+    def powers(z: np.ndarray) -> np.ndarray:
+        return chebyshev.chebvander(z / scale, DEGREE)
+
+    relations = walk[:, 1:] @ np.linalg.pinv(powers(setup.readings)).T  # (draws, coefficients)
+    fitted = np.einsum("hpc,dc->dhp", powers(heights), relations)
+    zero = walk[:, 0] - relations @ powers(np.zeros(1))[0]
+    return own - fitted - zero[:, None, None]
 
 
 def percentile_with_noise(error: np.ndarray, sigma: float, share: float) -> float:
     """The ``share``-quantile of |error + noise| over all of ``error``, for normal noise of ``sigma``, mm."""
-    noise = sigma * ndtri((np.arange(199) + 0.5) / 199)
+    noise = sigma * ndtri((np.arange(_QUANTILES) + 0.5) / _QUANTILES)
     return float(np.quantile(np.abs(error.ravel()[:, None] + noise), share))
+
+
+def _at_places(heights: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """(h, places) from (h,) or (h, places)."""
+    return np.broadcast_to(heights if heights.ndim == 2 else heights[:, None], (len(heights), len(places)))

@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from greenough.instrument.files import atomic_path
 
 from .claims import Claim, environment
-from .planes import PlaneNoise, paper_line
+from .noise import PlaneNoise, paper_line
 from .setup import Setup
 from .specimens import RAW, Measured
 

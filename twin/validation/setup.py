@@ -15,7 +15,7 @@ from greenough.pipeline.reconstruct import PointMap, reconstruct
 from ..bench import Bench
 from ..diffraction import airy_radius
 from ..rig import TwinRig
-from .claims import Claim
+from .claims import Claim, expectation
 
 NO_FILTER = "none"
 
@@ -96,21 +96,26 @@ class Setup:
         *,
         paper: float | None = None,
         limit: float | None = None,
+        at_least: bool = False,
         holds: bool | None = None,
         expected_to_hold: bool | None = None,
         filter: str = NO_FILTER,
         alignment: str = "none",
         predicted: float | None = None,
+        predicted_sd: float | None = None,
     ) -> Claim:
         """A row about this instrument.
 
-        Without ``holds``, |measured| <= limit decides, and a row is expected to hold if the same is true of what is
-        ``predicted``; without a prediction it is expected to.
+        Without ``holds``, |measured| <= limit decides, or measured >= limit where the limit is ``at_least`` to be
+        reached. Without ``expected_to_hold``, the same is asked of what is ``predicted``, and a limit within
+        `TOSS_UP_SDS` of ``predicted_sd`` leaves it open. A row without a prediction is expected to hold.
         """
-        if holds is None and limit is not None:
-            holds = abs(measured) <= limit
-            if predicted is not None:
-                expected_to_hold = abs(predicted) <= limit
+        expected: bool | None = True if expected_to_hold is None else expected_to_hold
+        if limit is not None and holds is None:
+            holds = measured >= limit if at_least else abs(measured) <= limit
+            if predicted is not None and expected_to_hold is None:
+                excess = limit - predicted if at_least else abs(predicted) - limit
+                expected = expectation(excess <= 0, abs(excess), predicted_sd)
         return Claim(
             claim=name,
             specimen=specimen,
@@ -124,7 +129,8 @@ class Setup:
             seed=self.bench.settings.seed,
             limit=None if limit is None else float(limit),
             holds=None if holds is None else bool(holds),
-            expected_to_hold=None if holds is None else bool(expected_to_hold is not False),
+            expected_to_hold=None if holds is None or expected is None else bool(expected),
             criterion=criterion,
             predicted=None if predicted is None else float(predicted),
+            predicted_sd=None if predicted_sd is None else float(predicted_sd),
         )

@@ -3,7 +3,17 @@
 import numpy as np
 import pytest
 
-from greenough.twin.validation.mechanics import field_grid, flatness_error, percentile_with_noise, systematic_error
+from greenough.twin.instability import Instability
+from greenough.twin.settings import StabilitySettings, TwinSettings
+from greenough.twin.validation.mechanics import (
+    Drift,
+    calibration_drift,
+    expected_error,
+    field_grid,
+    left_to_chance,
+    percentile_with_noise,
+    systematic_error,
+)
 
 READINGS = np.linspace(-1.45, 1.45, 30)
 HEIGHTS = np.array([-1.2, 0.0, 0.9])
@@ -30,12 +40,56 @@ def test_a_stage_that_goes_too_far_makes_heights_too_small(analytic):
     np.testing.assert_allclose(error, np.tile((HEIGHTS * (1 / 1.001 - 1))[:, None], len(field_grid())), atol=1e-9)
 
 
-def test_flatness_ignores_height_and_tilt():
-    grid = field_grid()
-    tilt = 0.01 + 0.02 * grid[:, 0] - 0.03 * grid[:, 1]
-    assert flatness_error(tilt) == pytest.approx(0, abs=1e-12)
-    ripple = 1e-3 * np.cos(np.pi * np.arange(len(grid)))  # neither constant nor linear over the symmetric grid
-    assert flatness_error(tilt + ripple) == pytest.approx(1e-3, rel=0.01)
+def test_heights_may_differ_from_place_to_place(analytic):
+    bench = analytic(blank_face_height=lambda z, xy: np.full(len(xy), 1.001 * z)).bench
+    places = np.array([[0.0, 0.0], [1.0, -2.0]])
+    error = systematic_error(bench, READINGS, np.array([[0.5, -1.0]]), places)
+    np.testing.assert_allclose(error, np.array([[0.5, -1.0]]) * (1 / 1.001 - 1), atol=1e-9)
+
+
+def test_a_table_that_has_risen_makes_heights_too_small_by_as_much_as_since_the_blank_side_at_zero(analytic):
+    drift = Drift(at_flat_posture=7e-3, at_zero=1e-3, planes=np.full(30, 3e-3))
+    error = systematic_error(analytic().bench, READINGS, HEIGHTS, drift=drift)
+    np.testing.assert_allclose(error, -1e-3, atol=1e-9)
+
+
+def test_the_bundle_is_wrong_by_its_board_s_pitch_and_the_drift_until_the_flat_posture(analytic):
+    setup = analytic(method="bundle")
+    longer = analytic(method="bundle", printed_centres=1.0001 * setup.calibration.board.centres())
+    np.testing.assert_allclose(expected_error(setup, HEIGHTS), 0, atol=1e-15)
+    np.testing.assert_allclose(expected_error(longer, HEIGHTS), -1e-4 * HEIGHTS[:, None] * np.ones(169), rtol=1e-6)
+    settings = TwinSettings(seed=5, stability=StabilitySettings(table_drift_um=20.0, path_drift_um=0.0))
+    drifting = analytic(method="bundle", settings=settings)
+    lag = calibration_drift(drifting).at_flat_posture
+    assert abs(lag) > 1e-4
+    np.testing.assert_allclose(expected_error(drifting, HEIGHTS), -lag, rtol=1e-9)
+
+
+def test_drift_is_the_table_s_at_the_calibration_s_last_captures(analytic):
+    """24 frames each: 30 planes, the blank side at 0 before them, and the flat posture before that."""
+    settings = TwinSettings(seed=5, stability=StabilitySettings(table_drift_um=2.0))
+    setup = analytic(settings=settings)
+    drift = calibration_drift(setup)
+    end = setup.calibration.exposures
+    walk = Instability(settings.stability, 5, "calibration", 46 * 24)
+    assert drift.planes[-1] == walk.table_drift(end - 24)[2]
+    assert drift.planes[0] == walk.table_drift(end - 30 * 24)[2]
+    assert drift.at_zero == walk.table_drift(end - 31 * 24)[2]
+    assert drift.at_flat_posture == walk.table_drift(end - 32 * 24)[2]
+
+
+def test_chance_is_the_drift_of_the_paths_seen_as_height(analytic):
+    """0.05 um sideways are 0.239 um of height under 12 degrees. Two runs' drifts are independent; from the blank side at
+    zero to the planes, at most 30 of 46 captures later, the calibration's grows to part of it. 100 draws: 7 %."""
+    settings = TwinSettings(seed=5, stability=StabilitySettings(path_drift_um=0.05))
+    heights = np.zeros((1, 2))
+    whole = 0.05e-3 / (2 * np.sin(np.radians(6)))
+    own = left_to_chance(analytic(method="bundle", settings=settings), heights)
+    assert own.std() == pytest.approx(whole, rel=0.25)
+    both = left_to_chance(analytic(settings=settings), heights)
+    assert own.std() < both.std() < whole * np.sqrt(1 + 30 / 46) * 1.25
+    assert np.ptp(both, axis=2).max() < 1e-15
+    assert left_to_chance(analytic(), heights).std() == 0
 
 
 def test_percentile_with_noise_is_the_folded_normal_s_about_a_bias():

@@ -10,7 +10,7 @@ import pytest
 from greenough.pipeline.compare import Comparison
 from greenough.pipeline.reconstruct import PointMap
 from greenough.twin import Truth
-from greenough.twin.validation.planes import PlaneNoise
+from greenough.twin.validation.noise import PlaneNoise
 from greenough.twin.validation.report import SpecimenMaps, specimen_maps, write_report
 from greenough.twin.validation.specimens import Measured
 
@@ -34,8 +34,8 @@ def page(analytic, tmp_path):
 
     def written(claims=None, specimens=None, facts=None) -> str:
         setup = analytic()
-        raw, two, filtered = np.random.default_rng(4).normal(0, 2e-3, (3, *SHAPE))
-        noise = PlaneNoise(raw, two, filtered, 2e-3, 1e-3)
+        raw, second, two, filtered = np.random.default_rng(4).normal(0, 2e-3, (4, *SHAPE))
+        noise = PlaneNoise(raw, second, two, filtered, 2e-3, 1e-3, xy=np.zeros((*SHAPE, 2)))
         rows = [setup.claim("depth", "plane", 3.0, "um", 1234, "95 %", limit=4.0, paper=4.0)]
         path = tmp_path / "report.html"
         write_report(

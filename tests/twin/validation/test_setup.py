@@ -23,6 +23,30 @@ def test_the_prediction_decides_what_is_expected_and_the_measurement_does_not(an
         assert claim.expected_to_hold is expected
 
 
+@pytest.mark.parametrize(("predicted", "expected"), [(3.0, True), (3.8, None), (4.2, None), (-4.2, None), (5.0, False)])
+def test_a_prediction_near_its_limit_leaves_open_what_to_expect(analytic, predicted, expected):
+    for measured in (3.7, 4.3):
+        claim = analytic().claim(
+            "depth", "plane", measured, "um", 10, "", limit=4.0, predicted=predicted, predicted_sd=0.1
+        )
+        assert claim.expected_to_hold is expected
+        assert claim.holds is (measured < 4)
+
+
+def test_a_claim_without_a_prediction_is_never_left_open(analytic):
+    claim = analytic().claim("depth", "plane", 4.01, "um", 10, "", limit=4.0, predicted_sd=5.0)
+    assert (claim.holds, claim.expected_to_hold, claim.as_expected) == (False, True, False)
+
+
+@pytest.mark.parametrize(("predicted", "expected"), [(0.99, True), (0.955, None), (0.9, False)])
+def test_a_limit_may_be_a_least_value(analytic, predicted, expected):
+    for measured in (0.94, 0.96):
+        claim = analytic().claim(
+            "share", "plane", measured, "1", 10, "", limit=0.95, at_least=True, predicted=predicted, predicted_sd=0.01
+        )
+        assert (claim.holds, claim.expected_to_hold) == (measured > 0.95, expected)
+
+
 def test_a_row_without_a_limit_only_reports(analytic):
     claim = analytic().claim("bias", "coin", 123.0, "um", 10, "", predicted=1.0)
     assert (claim.limit, claim.holds, claim.expected_to_hold, claim.as_expected) == (None, None, None, True)

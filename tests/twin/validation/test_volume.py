@@ -1,0 +1,118 @@
+"""Claims about the volume, on planes whose errors are known."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from greenough.pipeline.reconstruct import PointMap
+from greenough.twin.validation.volume import (
+    VOLUME_HEIGHTS_MM,
+    MeasuredPlane,
+    _block_means,
+    volume_claims,
+    without_motion,
+)
+
+TILTS = ((0.3, 0.0), (0.0, -0.28), (-0.2, 0.17))
+
+
+def motion(height: float, tilt: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
+    matrix = np.eye(4)
+    matrix[:3, :3] = Rotation.from_euler("xyz", [*tilt, 0.3]).as_matrix()
+    matrix[2, 3] = height
+    return matrix
+
+
+def plane(world_from_plane: np.ndarray, error=lambda xyz: np.zeros(xyz.shape[:2]), seed: int = 1) -> MeasuredPlane:
+    """What a plane gives whose points have vertical errors of ``error`` and noise of 1.6 um."""
+    x, y = np.meshgrid(np.linspace(-4, 4, 640), np.linspace(3, -3, 480))
+    normal, origin = world_from_plane[:3, 2], world_from_plane[:3, 3]
+    z = origin[2] - ((x - origin[0]) * normal[0] + (y - origin[1]) * normal[1]) / normal[2]
+    xyz = np.stack([x, y, z], axis=-1)
+    errors = error(xyz) + np.random.default_rng(seed).normal(0, 1.6e-3, z.shape)
+    return MeasuredPlane(
+        tilted=bool(abs(normal[2]) < 0.999),
+        world_from_plane=world_from_plane,
+        errors=errors.ravel(),
+        blocks=_block_means(PointMap(xyz), errors),
+        span=np.array([[-4.0, -3.0], [4.0, 3.0]]),
+        noise=1.6e-3,
+        filtered_noise=1.6e-3,
+    )
+
+
+def volume(error) -> list[MeasuredPlane]:
+    motions = [motion(height) for height in VOLUME_HEIGHTS_MM] + [motion(0.0, tilt) for tilt in TILTS]
+    return [plane(at, error, seed) for seed, at in enumerate(motions)]
+
+
+def rows_of(setup, planes: list[MeasuredPlane]) -> dict:
+    return {row.claim: row for row in volume_claims(setup, planes)}
+
+
+def test_heights_and_slope_are_those_of_the_plane():
+    tilted = plane(motion(0.4, (0.2, -0.1)))
+    on_plane = np.array([[1.0, -2.0, 0.0], [0.5, 3.0, 0.0]]) @ tilted.world_from_plane[:3, :3].T + [0, 0, 0.4]
+    np.testing.assert_allclose(tilted.heights(on_plane[:, :2]), on_plane[:, 2], atol=1e-12)
+
+
+def test_a_small_rigid_motion_of_everything_is_no_error():
+    """Flat and tilted planes moved by micrometres and microradians: what is left is of second order."""
+    turn, shift = Rotation.from_rotvec([3e-6, -2e-6, 5e-6]), np.array([2e-3, -1e-3, 3e-3])
+    planes = [plane(motion(height, tilt)) for height, tilt in ((-1.0, (0, 0)), (0.5, (0, 0)), *((0, t) for t in TILTS))]
+    points = [p.blocks[:, :3] for p in planes]
+    error = []
+    for xyz, p in zip(points, planes, strict=True):
+        moved = turn.apply(xyz) + shift
+        error.append(moved[:, 2] - p.heights(moved[:, :2]))
+    left = without_motion(points, planes, np.concatenate(error))
+    assert np.abs(np.concatenate(error)).max() > 3e-3
+    np.testing.assert_allclose(left, 0, atol=1e-9)
+
+
+def test_a_wrong_scale_of_depth_is_not_taken_for_a_motion():
+    planes = volume(lambda xyz: 1e-3 * xyz[..., 2])
+    left = without_motion([p.blocks[:, :3] for p in planes], planes, np.concatenate([p.blocks[:, 3] for p in planes]))
+    depth = np.concatenate([p.blocks[:, 2] for p in planes])
+    assert np.polyfit(depth, left, 1)[0] == pytest.approx(1e-3, rel=0.05)
+
+
+def test_systematic_rows_average_noise_away_and_leave_height_and_tilt_aside(analytic):
+    """Blocks of 256 normal deviates of 1.6 um: their means have 0.1 um, and an RMS of thousands is within 5 %."""
+
+    def error(xyz: np.ndarray) -> np.ndarray:
+        wave = 0.4e-3 * np.sqrt(2) * np.sin(2 * np.pi * xyz[..., 0])  # 1 mm long
+        return 3e-3 + 1e-3 * xyz[..., 0] - 0.5e-3 * xyz[..., 1] + wave
+
+    rows = rows_of(analytic(), volume(error))
+    assert rows["depth_origin"].measured == pytest.approx(3.0, abs=0.05)
+    wave = 0.4 * np.sinc(16 * 8 / 639)  # what blocks leave of it
+    for part, count in (("", 10), ("_tilted", 3)):
+        row = rows[f"depth{part}_systematic_rms"]
+        assert row.measured == pytest.approx(np.hypot(0.1, wave), rel=0.08)
+        assert row.holds
+        assert row.n == count * 30 * 40
+        assert rows[f"depth{part}_systematic_p99"].measured < 1.5
+
+
+def test_each_kind_of_plane_has_its_own_percentile(analytic):
+    """Errors of 2 um on slopes alone: |2 + noise of 1.6| has its 95 % at 2 + 1.645 * 1.6."""
+    rows = rows_of(analytic(), volume(lambda xyz: 2e-3 * (np.ptp(xyz[..., 2]) > 0.1) * np.ones(xyz.shape[:2])))
+    assert rows["depth_p95_volume"].measured == pytest.approx(1.96 * 1.6, rel=0.02)
+    assert rows["depth_tilted_p95"].measured == pytest.approx(2 + 1.645 * 1.6, rel=0.02)
+    # The prediction knows of the frames' noise and of the calibration's, 0.37 of it.
+    assert rows["depth_p95_volume"].predicted == pytest.approx(1.96 * 1.6 * np.hypot(1, 0.37), rel=0.03)
+
+
+def test_a_stage_that_goes_too_far_is_predicted_in_every_row_of_the_paper_s_method(analytic):
+    def too_far(reading: float, xy: np.ndarray) -> np.ndarray:
+        return np.full(len(xy), 1.004 * reading)
+
+    setup = analytic(blank_face_height=too_far)
+    rows = rows_of(setup, volume(lambda xyz: (1 / 1.004 - 1) * xyz[..., 2]))
+    for name in ("depth_systematic_rms", "depth_tilted_systematic_rms", "depth_systematic_p99", "depth_p95_volume"):
+        assert rows[name].predicted == pytest.approx(rows[name].measured, rel=0.08), name
+        assert rows[name].expected_to_hold is rows[name].holds is False
+    for height in VOLUME_HEIGHTS_MM:
+        row = rows[f"depth_bias_at_{height:+.1f}mm"]
+        assert row.predicted == pytest.approx(1e3 * (1 / 1.004 - 1) * height, abs=1e-3)

@@ -21,7 +21,7 @@ from ..rig import open as open_twin
 from ..settings import twin_settings
 from ..workbench import Workbench
 from .claims import Claim
-from .mechanics import systematic_error
+from .mechanics import field_grid, systematic_error
 from .setup import Setup
 from .volume import PLANES, VOLUME_HEIGHTS_MM, depth_claims, measure_volume
 
@@ -71,11 +71,11 @@ def predicted_percentiles(rig_name: str, overrides: Sequence[str], readings: np.
     From their stages and boards as they are drawn, without drift, noise, or a frame.
     """
     rig_file = load_rig_file(rig_name, overrides)
-    settings = twin_settings(rig_file)
+    settings, places = twin_settings(rig_file), field_grid()[::7]
     for k in range(1, INSTRUMENTS + 1):
         other = settings.model_copy(update={"seed": settings.seed + k})
         bench = Bench(rig_file, other, Workbench(rig_file, other))
-        error = systematic_error(bench, readings, np.array(VOLUME_HEIGHTS_MM))
+        error = systematic_error(bench, readings, np.array(VOLUME_HEIGHTS_MM), places)
         yield 1e3 * float(np.percentile(np.abs(error), 95))
 
 

@@ -11,7 +11,7 @@ from greenough.pipeline.phasor_filter import filter_phasors
 from greenough.pipeline.reconstruct import PointMap
 
 from .claims import Claim
-from .mechanics import expected_error, field_grid, left_to_chance, percentile_with_noise
+from .mechanics import expected_error, left_to_chance, percentile_with_noise
 from .planes import BLOCK_PX, blocks_of, half_measured, rms, vertical_error
 from .setup import Setup
 
@@ -25,6 +25,7 @@ stay within 1.4 mm of height."""
 PLANES = len(VOLUME_HEIGHTS_MM) + len(TILTS_DEG)
 
 SYSTEMATIC_LIMITS_UM = (0.5, 1.5)  # root mean square, and for 99 %
+_EVERY = 13  # blocks between those for which systematic errors are predicted
 CALIBRATION_SD_SHARE = 0.37
 """As `noise.CALIBRATION_SD_SHARE`, over the whole range of heights."""
 
@@ -62,10 +63,11 @@ class MeasuredPlane:
         normal = self.world_from_plane[:3, 2]
         return -normal[:2] / normal[2]
 
-    def heights(self, places: np.ndarray) -> np.ndarray:
-        """True heights (n,) at ``places`` (n, 2)."""
-        origin = self.world_from_plane[:3, 3]
-        return origin[2] + (places - origin[:2]) @ self.slope
+    @property
+    def places(self) -> np.ndarray:
+        """Some points (n, 3) of the true plane that stand for it, mm."""
+        some = self.blocks[_EVERY // 2 :: _EVERY]
+        return np.column_stack([some[:, :2], some[:, 2] - some[:, 3]])
 
 
 def measure_volume(setups: Sequence[Setup], advance: Callable[[float], None]) -> list[list[MeasuredPlane]]:
@@ -116,7 +118,7 @@ def depth_claims(setup: Setup, planes: Sequence[MeasuredPlane]) -> Iterator[Clai
         yield setup.claim(
             f"depth_bias_at_{stage_height:+.1f}mm", "plane", 1e3 * float(np.mean(plane.errors)), "um",
             len(plane.errors), "mean vertical error where the stage reads so", filter=setup.filter_name,
-            **_prediction(np.mean, np.add(*_expected(setup, [plane]))),
+            **_prediction(np.mean, _foretold(setup, [plane])),
         )  # fmt: skip
 
 
@@ -129,7 +131,7 @@ def _percentile_claim(
     return setup.claim(
         name, "plane", 1e3 * float(np.percentile(together, 95)), "um", len(together),
         f"95 % of the vertical errors {where}", paper=paper, limit=4.0, filter=setup.filter_name,
-        **_prediction(lambda error: percentile_with_noise(error, sigma, 0.95), np.add(*_expected(setup, planes))),
+        **_prediction(lambda error: percentile_with_noise(error, sigma, 0.95), _foretold(setup, planes)),
     )  # fmt: skip
 
 
@@ -137,27 +139,27 @@ def _systematic_claims(setup: Setup, planes: Sequence[MeasuredPlane]) -> Iterato
     """What is left when noise is averaged out, beside the best rigid motion of the whole volume."""
     averaged = f"mean over blocks of {BLOCK_PX} x {BLOCK_PX} px"
     error = np.concatenate([plane.blocks[:, 3] for plane in planes])
-    expected, chance = _expected(setup, planes)
+    foretold = _foretold(setup, planes)
     yield setup.claim(
         "depth_origin", "plane", 1e3 * float(np.mean(error)), "um", len(error), "mean vertical error over all planes",
-        filter=averaged, **_prediction(np.mean, expected + chance),
+        filter=averaged, **_prediction(np.mean, foretold),
     )  # fmt: skip
     left = without_motion([plane.blocks[:, :3] for plane in planes], planes, error)
-    grid = field_grid()
-    on_grid = [np.column_stack([grid, plane.heights(grid)]) for plane in planes]
-    foretold = without_motion(on_grid, planes, (expected + chance).reshape(len(chance), -1).T).T
-    tilted = np.array([plane.tilted for plane in planes])
-    of_tilted, tilted_on_grid = np.repeat(tilted, [len(p.blocks) for p in planes]), np.repeat(tilted, len(grid))
-    for name, measured, on_average, which in (
+    foretold = without_motion([plane.places for plane in planes], planes, foretold.T).T
+    of_tilted, tilted_places = (
+        np.concatenate([np.full(len(points), plane.tilted) for plane, points in zip(planes, sets, strict=True)])
+        for sets in ([plane.blocks for plane in planes], [plane.places for plane in planes])
+    )
+    for name, measured, draws, which in (
         ("depth_systematic", left, foretold, "all planes"),
-        ("depth_tilted_systematic", left[of_tilted], foretold[:, tilted_on_grid], "the tilted planes"),
+        ("depth_tilted_systematic", left[of_tilted], foretold[:, tilted_places], "the tilted planes"),
     ):
         for statistic, suffix, limit, criterion in (
             (rms, "rms", SYSTEMATIC_LIMITS_UM[0], "root mean square vertical error"),
             (_p99, "p99", SYSTEMATIC_LIMITS_UM[1], "99 % of the vertical errors"),
         ):
             # The bundle's errors are those of its fit, which no model of stage and board foretells.
-            prediction = _prediction(statistic, on_average) if setup.believes_stage else {}
+            prediction = _prediction(statistic, draws) if setup.believes_stage else {}
             yield setup.claim(
                 f"{name}_{suffix}", "plane", 1e3 * statistic(measured), "um", len(measured), f"{criterion} of {which}",
                 limit=limit, filter=averaged, alignment="one rigid motion of all planes", **prediction,
@@ -187,14 +189,18 @@ def _extent_claims(setup: Setup, flat: Sequence[MeasuredPlane]) -> Iterator[Clai
     )  # fmt: skip
 
 
-def _expected(setup: Setup, planes: Sequence[MeasuredPlane]) -> tuple[np.ndarray, np.ndarray]:
-    """Error of z on the field's grid, (planes, places) mm, and draws of what that leaves to chance."""
-    heights = np.stack([plane.heights(field_grid()) for plane in planes])
-    return expected_error(setup, heights), left_to_chance(setup, heights)
+def _foretold(setup: Setup, planes: Sequence[MeasuredPlane]) -> np.ndarray:
+    """Draws of the systematic vertical errors at all planes' places, (draws, places) mm."""
+    draws = []
+    for plane in planes:
+        *xy, heights = plane.places.T
+        error = expected_error(setup, heights[None], np.column_stack(xy)) + left_to_chance(setup, heights[None])
+        draws.append(error[:, 0])
+    return np.concatenate(draws, axis=1)
 
 
 def _prediction(statistic: Callable[[np.ndarray], float], draws: np.ndarray) -> dict[str, float]:
-    """Mean and standard deviation of a figure over draws (draws, ...) of errors in mm."""
+    """Mean and standard deviation in µm of a figure over draws (draws, places) of errors in mm."""
     figures = [1e3 * statistic(errors) for errors in draws]
     return {"predicted": float(np.mean(figures)), "predicted_sd": float(np.std(figures))}
 

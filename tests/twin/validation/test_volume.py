@@ -25,7 +25,7 @@ def motion(height: float, tilt: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
 
 def plane(world_from_plane: np.ndarray, error=lambda xyz: np.zeros(xyz.shape[:2]), seed: int = 1) -> MeasuredPlane:
     """What a plane gives whose points have vertical errors of ``error`` and noise of 1.6 um."""
-    x, y = np.meshgrid(np.linspace(-4, 4, 640), np.linspace(3, -3, 480))
+    x, y = np.meshgrid(np.linspace(-4, 4, 320), np.linspace(3, -3, 240))
     normal, origin = world_from_plane[:3, 2], world_from_plane[:3, 3]
     z = origin[2] - ((x - origin[0]) * normal[0] + (y - origin[1]) * normal[1]) / normal[2]
     xyz = np.stack([x, y, z], axis=-1)
@@ -34,7 +34,7 @@ def plane(world_from_plane: np.ndarray, error=lambda xyz: np.zeros(xyz.shape[:2]
         tilted=bool(abs(normal[2]) < 0.999),
         world_from_plane=world_from_plane,
         errors=errors.ravel(),
-        blocks=_block_means(PointMap(xyz), errors),
+        blocks=_block_means(PointMap(xyz + errors[..., None] * [0, 0, 1]), errors),
         span=np.array([[-4.0, -3.0], [4.0, 3.0]]),
         noise=1.6e-3,
         filtered_noise=1.6e-3,
@@ -50,21 +50,24 @@ def rows_of(setup, planes: list[MeasuredPlane]) -> dict:
     return {row.claim: row for row in volume_claims(setup, planes)}
 
 
-def test_heights_and_slope_are_those_of_the_plane():
-    tilted = plane(motion(0.4, (0.2, -0.1)))
-    on_plane = np.array([[1.0, -2.0, 0.0], [0.5, 3.0, 0.0]]) @ tilted.world_from_plane[:3, :3].T + [0, 0, 0.4]
-    np.testing.assert_allclose(tilted.heights(on_plane[:, :2]), on_plane[:, 2], atol=1e-12)
+def test_places_and_slope_are_those_of_the_true_plane():
+    tilted = plane(motion(0.4, (0.2, -0.1)), lambda xyz: 0.1 * np.ones(xyz.shape[:2]))
+    on_part = (tilted.places - [0, 0, 0.4]) @ tilted.world_from_plane[:3, :3]
+    np.testing.assert_allclose(on_part[:, 2], 0, atol=1e-12)
+    assert len(tilted.places) == 23
+    x, y, z = tilted.places.T
+    np.testing.assert_allclose(z - 0.4, tilted.slope @ [x, y], atol=1e-12)
 
 
 def test_a_small_rigid_motion_of_everything_is_no_error():
     """Flat and tilted planes moved by micrometres and microradians: what is left is of second order."""
     turn, shift = Rotation.from_rotvec([3e-6, -2e-6, 5e-6]), np.array([2e-3, -1e-3, 3e-3])
     planes = [plane(motion(height, tilt)) for height, tilt in ((-1.0, (0, 0)), (0.5, (0, 0)), *((0, t) for t in TILTS))]
-    points = [p.blocks[:, :3] for p in planes]
+    points = [p.places for p in planes]
     error = []
     for xyz, p in zip(points, planes, strict=True):
         moved = turn.apply(xyz) + shift
-        error.append(moved[:, 2] - p.heights(moved[:, :2]))
+        error.append((moved - p.world_from_plane[:3, 3]) @ p.world_from_plane[:3, 2] / p.world_from_plane[2, 2])
     left = without_motion(points, planes, np.concatenate(error))
     assert np.abs(np.concatenate(error)).max() > 3e-3
     np.testing.assert_allclose(left, 0, atol=1e-9)
@@ -81,17 +84,17 @@ def test_systematic_rows_average_noise_away_and_leave_height_and_tilt_aside(anal
     """Blocks of 256 normal deviates of 1.6 um: their means have 0.1 um, and an RMS of thousands is within 5 %."""
 
     def error(xyz: np.ndarray) -> np.ndarray:
-        wave = 0.4e-3 * np.sqrt(2) * np.sin(2 * np.pi * xyz[..., 0])  # 1 mm long
+        wave = 0.4e-3 * np.sqrt(2) * np.sin(np.pi * xyz[..., 0])  # 2 mm long
         return 3e-3 + 1e-3 * xyz[..., 0] - 0.5e-3 * xyz[..., 1] + wave
 
     rows = rows_of(analytic(), volume(error))
     assert rows["depth_origin"].measured == pytest.approx(3.0, abs=0.05)
-    wave = 0.4 * np.sinc(16 * 8 / 639)  # what blocks leave of it
+    wave = 0.4 * np.sinc(16 * 8 / 319 / 2)  # what blocks leave of it
     for part, count in (("", 10), ("_tilted", 3)):
         row = rows[f"depth{part}_systematic_rms"]
         assert row.measured == pytest.approx(np.hypot(0.1, wave), rel=0.08)
         assert row.holds
-        assert row.n == count * 30 * 40
+        assert row.n == count * 15 * 20
         assert rows[f"depth{part}_systematic_p99"].measured < 1.5
 
 

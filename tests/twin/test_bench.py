@@ -245,6 +245,21 @@ def test_a_tilted_posture_is_seen_tilted(small):
         assert np.abs(heights).max() < 1.4 + 0.01
 
 
+def test_a_sample_lies_as_it_is_posed(small):
+    """Held at 12 degrees about x and lifted by 0.2 mm, on a table that a hand has turned by a degree or so."""
+    rig, bench = small(perfect=True)
+    rig.operator.place(Placement("plane"))
+    turn = bench.world_from_part[:3, :3]
+    rig.operator.place(Placement("plane", pose_mm_deg=(0, 0, 0.2, 12, 0, 0)))
+    normal, origin = bench.world_from_part[:3, 2], bench.world_from_part[:3, 3]
+    assert_allclose(turn.T @ normal, [0, -np.sin(np.radians(12)), np.cos(np.radians(12))], atol=1e-12)
+    assert origin[2] == pytest.approx(0.2, abs=1e-12)
+    truth = bench.truth()
+    on_plane = (truth.xyz_world[truth.lit_and_seen] - origin) @ normal
+    assert truth.lit_and_seen.mean() > 0.4
+    assert_allclose(on_plane, 0, atol=1e-4)  # float32
+
+
 def test_postures_come_from_the_seed(small):
     def poses(seed: int) -> np.ndarray:
         rig, bench = small(f"twin.seed={seed}")

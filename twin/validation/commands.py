@@ -21,15 +21,16 @@ def demo(
 ) -> None:
     """Calibrate a twin, measure the paper's specimens, and print its claims beside what was measured.
 
-    Exits with 1 if a row behaves otherwise than expected.
+    Exits with 1 if a row behaves otherwise than expected. Where its limit lies within the spread of what is predicted,
+    nothing is expected.
     """
     from .demo import demonstrate, steps
 
     overrides = settings or []
     with progress(steps(rig, overrides), "demo", quiet=as_json) as advance:
         claims = demonstrate(rig, overrides, out, advance)
-    columns = ("claim", "specimen", "calibration", "paper", "measured", "unit", "n", "limit", "holds")
-    columns += ("expected_to_hold",)
+    columns = ("claim", "specimen", "calibration", "paper", "measured", "unit", "n", "limit", "predicted")
+    columns += ("predicted_sd", "holds", "expected_to_hold")
     table = [{name: row[name] for name in columns} for row in map(asdict, claims)]
     unexpected = [claim.claim for claim in claims if not claim.as_expected]
     show({"claims": table, "unexpected": unexpected, "folder": out}, as_json)

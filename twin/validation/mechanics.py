@@ -1,9 +1,9 @@
 """What stage, board and table as they are must do to measured heights: a prediction without any frame.
 
-The paper's method takes the stage's readings for heights of an ideal plane. Whatever the blank side really does instead,
-its own shape and the table's drift included, goes into the relation that is fitted to 30 planes, and comes back with
-the opposite sign. The bundle believes the board: its mean pitch is left, and the drift of the table until the flat
-posture, which defines the frame. Nothing is said of errors that either method makes in fitting.
+The paper's method takes the stage's readings for heights of an ideal plane. Whatever the blank side really does
+instead, its own shape and the table's drift included, goes into the relation that is fitted to 30 planes, and comes
+back with the opposite sign. The bundle believes the board: its mean pitch is left, and the drift of the table until the
+flat posture, which defines the frame. Nothing is said of errors that either method makes in fitting.
 """
 
 from dataclasses import dataclass

@@ -31,10 +31,14 @@ def pitch_claims(setups: Sequence[Setup]) -> Iterator[Claim]:
         phase_map = setups[0].capture()
         spots = detect_spots(phase_map.background, setups[0].calibration.board)
         for setup in setups:
-            yield from _board_claims(setup, part, prefix, spot_points(setup, phase_map, spots))
+            yield from board_claims(setup, part, prefix, spot_points(setup, phase_map, spots))
 
 
-def _board_claims(setup: Setup, part: str, prefix: str, centres: np.ndarray) -> Iterator[Claim]:
+def board_claims(setup: Setup, part: str, prefix: str, centres: np.ndarray) -> Iterator[Claim]:
+    """Distances of neighbours on one board, whose spots were measured at ``centres`` (spots, 3) mm.
+
+    On the second board, and by the bundle, they are held to what was printed there.
+    """
     true = setup.bench.specimen.as_built["centres_mm"]
     board = setup.calibration.board
     judged = prefix == SECOND and not setup.believes_stage

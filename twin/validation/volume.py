@@ -205,9 +205,7 @@ def _prediction(statistic: Callable[[np.ndarray], float], draws: np.ndarray) -> 
     return {"predicted": float(np.mean(figures)), "predicted_sd": float(np.std(figures))}
 
 
-def without_motion(
-    points: Sequence[np.ndarray], planes: Sequence[MeasuredPlane], error: np.ndarray
-) -> np.ndarray:
+def without_motion(points: Sequence[np.ndarray], planes: Sequence[MeasuredPlane], error: np.ndarray) -> np.ndarray:
     """What the best small rigid motion of all points together leaves of their vertical errors.
 
     A point that moves by d on a surface of slope s comes to lie d_z - s · d_xy above it, where d = t + ω x p.

@@ -12,6 +12,8 @@ noise of a pixel."""
 LAGS = ((0, 1), (1, 0), (1, 1), (1, -1))
 """Rows and columns to the neighbours; the other four are the same pairs."""
 
+LEAST_PAIRS = 100
+
 
 @dataclass(frozen=True, eq=False)
 class Whiteness:
@@ -22,7 +24,7 @@ class Whiteness:
     correlations : (scales, lags) float64
         Of the blocks' means.
     scores : (scales, lags) float64
-        The same in standard deviations of what white noise gives; NaN where no pair of blocks is measured.
+        The same in standard deviations of what white noise gives; NaN where too few pairs of blocks are measured.
     """
 
     correlations: np.ndarray
@@ -46,7 +48,7 @@ def whiteness(residual: np.ndarray, sigma: np.ndarray) -> Whiteness:
     With x the departures over their standard deviation, the sum of x_i x_j over n pairs of neighbours has the variance
     n if all are independent, and is nearly normal. On coarser scales x is the sum over a block's k measured pixels over
     √k, which has unit variance again. A best plane that was taken out of the map lowers the sum by about its 3 degrees
-    of freedom, less than 0.2 standard deviations as long as there are 300 blocks.
+    of freedom, 3 / √n standard deviations: coarse scales on which fewer than ``LEAST_PAIRS`` are measured are left out.
 
     Parameters
     ----------
@@ -99,4 +101,4 @@ def _correlation(image: np.ndarray, rows: int, cols: int) -> tuple[float, float]
     left, right = max(0, -cols), width - max(0, cols)
     product = image[: height - rows, left:right] * image[rows:, left + cols : right + cols]
     pairs = int(np.isfinite(product).sum())
-    return (float(np.nansum(product)) / pairs if pairs else np.nan), pairs
+    return (float(np.nansum(product)) / pairs if pairs >= LEAST_PAIRS else np.nan), pairs

@@ -37,7 +37,7 @@ def test_a_prediction_is_open_only_within_its_own_spread_of_the_limit(predicted_
 
 
 def test_a_row_on_the_rim_of_the_open_zone_raises_one_false_alarm_in_740():
-    """One million figures, normal about a prediction that lies just outside: 1350 ± 37 on the other side, 5 of these."""
+    """One million figures, normal about a prediction just outside: 1350 ± 37 on the other side, 5 of these."""
     figures = np.random.default_rng(1).normal(4.0 - TOSS_UP_SDS * 0.1, 0.1, 1_000_000)
     assert np.mean(figures > 4.0) == pytest.approx(1 / 740.8, abs=5 * 37e-6)
 

@@ -79,8 +79,8 @@ def test_drift_is_the_table_s_at_the_calibration_s_last_captures(analytic):
 
 
 def test_chance_is_the_drift_of_the_paths_seen_as_height(analytic):
-    """0.05 um sideways are 0.239 um of height under 12 degrees. Two runs' drifts are independent; from the blank side at
-    zero to the planes, at most 30 of 46 captures later, the calibration's grows to part of it. 100 draws: 7 %."""
+    """0.05 um sideways are 0.239 um of height under 12 degrees. Two runs' drifts are independent; from the blank side
+    at zero to the planes, at most 30 of 46 captures later, the calibration's grows to part of it. 100 draws: 7 %."""
     settings = TwinSettings(seed=5, stability=StabilitySettings(path_drift_um=0.05))
     heights = np.zeros((1, 2))
     whole = 0.05e-3 / (2 * np.sin(np.radians(6)))

@@ -1,11 +1,23 @@
 """Claims about distances between spots, on a board that is seen by an ideal camera."""
 
+from types import SimpleNamespace
+
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
+from greenough.instrument.contract import SpotBoard
 from greenough.pipeline.decode import PhaseMap
 from greenough.pipeline.spots import Spots
-from greenough.twin.validation.pitch import all_pairs, paper_pairs, spot_points
+from greenough.twin.validation.pitch import (
+    ERROR_MEAN_LIMIT_UM,
+    ERROR_SD_LIMIT_UM,
+    SECOND,
+    all_pairs,
+    board_claims,
+    paper_pairs,
+    spot_points,
+)
 
 
 def test_pairs_are_neighbours_each_once(analytic):
@@ -22,6 +34,49 @@ def test_the_papers_pairs_lie_in_the_middle(analytic):
     used = board.centres()[np.unique(paper_pairs(board))]
     assert len(used) == 35
     np.testing.assert_allclose(used.mean(axis=0), 0, atol=1e-12)
+
+
+def printed_and_measured(board: SpotBoard, error_um: float, scale: float) -> tuple[np.ndarray, np.ndarray]:
+    """Spots with print errors of 0.6 um per axis, and where they are found, (99, 3) each."""
+    rng = np.random.default_rng(8)
+    printed = np.column_stack([board.centres() + rng.normal(0, 0.6e-3, (99, 2)), np.zeros(99)])
+    return printed, scale * printed + rng.normal(0, 1e-3 * error_um, (99, 3))
+
+
+@pytest.mark.parametrize(
+    ("error_um", "scale", "mean_holds", "sd_holds"),
+    [(0.1, 1.0, True, True), (0.4, 1.0, True, False), (0.05, 1 + 3e-4, False, True)],
+)
+def test_the_second_board_is_judged_by_its_own_print(analytic, error_um, scale, mean_holds, sd_holds):
+    """Errors of 0.1 um per axis make distances err by 0.14 um; a scale of 0.3 per mille, by 0.2 um each."""
+    printed, measured = printed_and_measured(analytic().calibration.board, error_um, scale)
+    specimen = SimpleNamespace(as_built={"centres_mm": printed})
+    for method in ("bundle", "paper"):
+        setup = analytic(method=method, specimen=specimen)
+        rows = {row.claim: row for row in board_claims(setup, "second-board", SECOND, measured)}
+        for suffix in ("", "_all_spots"):
+            mean, sd = (rows[f"{SECOND}_error_{name}{suffix}"] for name in ("mean", "sd"))
+            if method == "paper":
+                assert mean.limit is sd.limit is None
+                continue
+            assert (mean.limit, sd.limit) == (ERROR_MEAN_LIMIT_UM, ERROR_SD_LIMIT_UM)
+            assert (mean.holds, sd.holds, mean.expected_to_hold, sd.expected_to_hold) == (
+                mean_holds,
+                sd_holds,
+                True,
+                True,
+            )
+    assert {len(paper_pairs(setup.calibration.board)), rows[f"{SECOND}_error_mean"].n} == {58}
+    assert rows[f"{SECOND}_error_mean_all_spots"].n == 178
+
+
+def test_spread_of_distances_is_predicted_from_the_print(analytic):
+    printed, measured = printed_and_measured(analytic().calibration.board, 0.1, 1.0)
+    setup = analytic(specimen=SimpleNamespace(as_built={"centres_mm": printed}))
+    for row in board_claims(setup, "second-board", SECOND, measured):
+        if row.claim.endswith(("_sd", "_sd_all_spots")) and "error" not in row.claim:
+            assert row.measured == pytest.approx(row.predicted, abs=4 * row.predicted_sd)
+            assert row.predicted == pytest.approx(np.sqrt(2) * 0.6e-3, rel=0.3)
 
 
 def test_spots_of_a_tilted_board_are_found_where_they_are(analytic):

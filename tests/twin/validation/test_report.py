@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from greenough.pipeline.compare import Comparison
+from greenough.pipeline.compare import ErrorRow
 from greenough.pipeline.reconstruct import PointMap
 from greenough.twin import Truth
 from greenough.twin.validation.noise import PlaneNoise
@@ -67,12 +67,15 @@ def test_only_rows_that_are_not_as_expected_are_marked(page):
         yield setup.claim("reported", "plane", 9.0, "um", 1, "")
         yield setup.claim("broken", "plane", 9.0, "um", 1, "", limit=4.0)
         yield setup.claim("lucky", "plane", 1.0, "um", 1, "", limit=4.0, predicted=8.0)
+        yield setup.claim("open", "plane", 4.1, "um", 1, "", limit=4.0, predicted=3.9, predicted_sd=0.1)
 
     text = page(claims=lambda setup: list(claims(setup)))
     marked = re.findall(r'<tr class="unexpected">\s*<td>(\w+)', text)
     assert marked == ["broken", "lucky"]
     assert "broken (plane), lucky (plane)" in re.sub(r"\s+", " ", text)
-    assert all(f"<td>{name}<br>" in text for name in ("held", "doomed", "reported"))
+    assert all(f"<td>{name}<br>" in text for name in ("held", "doomed", "reported", "open"))
+    assert re.findall(r"<td>either</td>", text) == ["<td>either</td>"]
+    assert "± 0.1" in text
 
 
 def test_a_page_without_surprises_says_so(page):
@@ -112,7 +115,7 @@ def test_the_error_map_is_the_vertical_error_on_a_slope_where_lit_and_seen():
     world_from_twin[2, 3] = -0.3
     truth = Truth(xyz + np.array([0, 0, 0.3]), normal, x, y, lit, world_from_twin)
     background = np.full(SHAPE, 100.0)
-    comparison = Comparison("none", world_from_twin, (), 0, None)
-    result = specimen_maps(Measured("s", "raw", background, PointMap(points), truth, lit, comparison))
+    row = ErrorRow("vertical", "smooth", 0, 0.0, 0.0, 0.0, 0.0)
+    result = specimen_maps(Measured("s", "raw", background, PointMap(points), 0 * background, truth, lit, row, 1.0))
     np.testing.assert_allclose(result.error_um[5:], 1e3 * error[5:], atol=1e-4)
     assert np.isnan(result.error_um[:5]).all()

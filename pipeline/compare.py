@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import igl
@@ -105,14 +106,14 @@ def compare(cloud: PointCloud, mesh: Mesh, align: Alignment = "none") -> Compari
     if cloud.smooth is not None:
         selections["smooth"] = cloud.smooth
     rows = [
-        _row(quantity, points, error[selected])
+        error_row(quantity, points, error[selected])
         for points, selected in selections.items()
         for quantity, error in errors.items()
     ]
     return Comparison(align, transform, rows, len(xyz), _valid_share(cloud))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Surface:
     """A mesh made ready for queries: equal vertices made one, triangles without area left out.
 
@@ -122,14 +123,11 @@ class Surface:
     faces : (m, 3) int64
     normals : (m, 3) float64
         Unit normals of the faces.
-    tree : igl.AABB
-        For closest points.
     """
 
     vertices: np.ndarray
     faces: np.ndarray
     normals: np.ndarray
-    tree: igl.AABB
 
     @classmethod
     def of(cls, mesh: Mesh) -> "Surface":
@@ -140,10 +138,21 @@ class Surface:
         solid = area > 0
         if not solid.any():
             raise InputError("the mesh has no triangle of positive area: give a surface")
-        faces, normals = np.ascontiguousarray(faces[solid]), normals[solid] / area[solid, None]
+        return cls(vertices, np.ascontiguousarray(faces[solid]), normals[solid] / area[solid, None])
+
+    @cached_property
+    def tree(self) -> igl.AABB:
+        """For closest points."""
         tree = igl.AABB()
-        tree.init(vertices, faces)
-        return cls(vertices, faces, normals, tree)
+        tree.init(self.vertices, self.faces)
+        return tree
+
+    @cached_property
+    def scene(self) -> EmbreeScene:
+        """For rays."""
+        scene = EmbreeScene(robust=True)  # otherwise some rays slip between neighbouring triangles
+        TriangleMesh(scene, self.vertices.astype(np.float32), self.faces.astype(np.int32))
+        return scene
 
     def closest(self, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Distance (n,), face index (n,) and position (n, 3) of the closest point of the surface to each point."""
@@ -167,12 +176,10 @@ def signed_distances(xyz: np.ndarray, surface: Surface) -> np.ndarray:
 
 def vertical_errors(xyz: np.ndarray, surface: Surface) -> np.ndarray:
     """z of points (n, 3) minus z of the uppermost surface on the same (x, y), mm; NaN where there is none, (n,)."""
-    scene = EmbreeScene(robust=True)  # otherwise some rays slip between neighbouring triangles
-    TriangleMesh(scene, surface.vertices.astype(np.float32), surface.faces.astype(np.int32))
     origins = xyz.astype(np.float32)
     origins[:, 2] = surface.vertices[:, 2].max() + 1.0
     down = np.tile(np.array([0, 0, -1], dtype=np.float32), (len(xyz), 1))
-    face = scene.run(origins, down)
+    face = surface.scene.run(origins, down)
     errors = np.full(len(xyz), np.nan)
     hit = np.flatnonzero((face >= 0) & (surface.normals[face, 2] != 0))
     # The ray tracer's single precision only chooses the triangle; its plane is evaluated in double.
@@ -292,7 +299,8 @@ def _edge_key(start: np.ndarray, end: np.ndarray, vertices: int) -> np.ndarray:
     return np.minimum(start, end) * vertices + np.maximum(start, end)
 
 
-def _row(quantity: str, points: str, errors_mm: np.ndarray) -> ErrorRow:
+def error_row(quantity: str, points: str, errors_mm: np.ndarray) -> ErrorRow:
+    """Statistics of errors (n,); those that are NaN do not count, and without any others all figures are NaN."""
     errors_um = 1e3 * errors_mm[np.isfinite(errors_mm)]
     if len(errors_um) == 0:
         return ErrorRow(quantity, points, 0, *[float("nan")] * 4)

@@ -5,50 +5,84 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from greenough.pipeline.compare import Comparison, ErrorRow
+from greenough.pipeline.compare import ErrorRow
 from greenough.pipeline.reconstruct import PointMap
-from greenough.twin.validation.specimens import RAW, Measured, ball_claims, specimen_claims
+from greenough.twin.validation.measured import (
+    DECONVOLVED,
+    DECONVOLVED_FILTERED,
+    FILTERED,
+    RAW,
+    Measured,
+    noise_quantile,
+)
+from greenough.twin.validation.specimens import specimen_claims
 
-RADIUS = 0.25
-
-
-def measured(xyz: np.ndarray, comparison: Comparison | None = None, seen: np.ndarray | None = None) -> Measured:
-    truth = SimpleNamespace(lit_and_seen=np.ones(xyz.shape[:2], bool) if seen is None else seen)
-    nothing = np.zeros(xyz.shape[:2])
-    return Measured("bga", RAW, nothing, PointMap(xyz), truth, nothing > 0, comparison)
-
-
-def test_apex_errors_are_those_of_the_balls(analytic):
-    """Four balls measured too high by 1, 2, 3 and 4 um, on a package that lies shifted and lower."""
-    apexes = np.array([[-0.4, 0.4, 0.3], [0.4, 0.4, 0.3], [-0.4, -0.4, 0.3], [0.4, -0.4, 0.31]])
-    shift = np.array([0.05, -0.03, -0.2])
-    motion = np.eye(4)
-    motion[:3, 3] = shift
-    too_high = np.array([1e-3, 2e-3, 3e-3, 4e-3])
-    x, y = np.meshgrid(np.arange(-0.8, 0.8, 0.0099), np.arange(-0.8, 0.8, 0.0099))
-    z = np.full(x.shape, np.nan)
-    for apex, high in zip(apexes + shift, too_high, strict=True):
-        r = np.hypot(x - apex[0], y - apex[1])
-        ball = r < 0.8 * RADIUS
-        z[ball] = apex[2] + high - RADIUS + np.sqrt(RADIUS**2 - r[ball] ** 2)
-    built = {"ball_apexes_mm": apexes, "ball_radii_mm": np.full(4, RADIUS)}
-    setup = analytic(motion, specimen=SimpleNamespace(as_built=built))
-    rows = {row.claim: row for row in ball_claims(setup, measured(np.stack([x, y, z], axis=-1)))}
-    # Over 15 degrees a sphere departs from its paraboloid by r sin(15)^4 / 8 = 0.14 um at the rim.
-    assert rows["ball_apex_bias"].measured == pytest.approx(2.5, abs=0.1)
-    assert rows["ball_apex_sd"].measured == pytest.approx(np.std([1, 2, 3, 4], ddof=1), abs=0.02)
-    assert rows["ball_apex_within_tolerance"].measured == pytest.approx(4.0, abs=0.1)
-    assert rows["ball_apex_within_tolerance"].holds
-    assert {row.n for row in rows.values()} == {4}
+SHAPE = (4, 6)
 
 
-def test_specimen_rows_are_the_comparisons_vertical_ones_on_smooth_surface(analytic):
-    kinds = [(quantity, points) for points in ("all", "smooth") for quantity in ("signed_distance", "vertical")]
-    table = [ErrorRow(*kind, 10 * k, 1.0 + k, 2.0 + k, 3.0 + k, 4.0 + k) for k, kind in enumerate(kinds)]
-    comparison = Comparison("none", np.eye(4), table, 5, 0.75)
-    rows = {row.claim: row for row in specimen_claims(analytic(), measured(np.zeros((4, 6, 3)), comparison))}
-    assert [rows[name].measured for name in ("bias", "rmse", "p95", "valid_share")] == [4.0, 5.0, 6.0, 0.75]
-    assert [rows[name].n for name in ("bias", "rmse", "p95", "valid_share")] == [30, 30, 30, 24]
-    assert {(row.specimen, row.filter, row.alignment, row.holds) for row in rows.values()} == {
-        ("bga", "none", "none", None)
+def measured(name="coin", treatment=RAW, bias_um=0.5, p95_um=3.0, share=0.99, sigma_mm=1e-3) -> Measured:
+    everywhere = np.ones(SHAPE, bool)
+    points = PointMap(np.zeros((*SHAPE, 3)))
+    error = ErrorRow("vertical", "smooth", 20, bias_um, 2.0, p95_um, 9.0)
+    truth = SimpleNamespace(lit_and_seen=everywhere)
+    sigma = np.full(SHAPE, sigma_mm)
+    return Measured(name, treatment, np.zeros(SHAPE), points, sigma, truth, everywhere, error, share)
+
+
+def rows(setup, of: Measured) -> dict:
+    return {row.claim: row for row in specimen_claims(setup, of)}
+
+
+def test_rows_are_the_vertical_ones_on_smooth_surface_with_the_noise_beside_them(analytic):
+    found = rows(analytic(), measured())
+    assert [found[name].measured for name in ("bias", "rmse", "p95", "valid_share")] == [0.5, 2.0, 3.0, 0.99]
+    assert [found[name].n for name in ("bias", "rmse", "p95", "valid_share")] == [20, 20, 20, 24]
+    assert {(row.specimen, row.filter, row.alignment, row.holds) for row in found.values()} == {
+        ("coin", "none", "none", None)
     }
+    # 95 % of normal deviates lie within 1.96 standard deviations.
+    assert found["rmse"].predicted == pytest.approx(1.0)
+    assert found["p95"].predicted == pytest.approx(1.959964, rel=1e-5)
+
+
+@pytest.mark.parametrize("treatment", [FILTERED, DECONVOLVED_FILTERED])
+def test_the_best_treatment_has_limits_that_can_be_missed_and_is_expected_to_keep(analytic, treatment):
+    good = rows(analytic(method="bundle"), measured(treatment=treatment, bias_um=-1.0, p95_um=4.0, share=0.98))
+    bad = rows(
+        analytic(method="bundle"),
+        measured(treatment=treatment, bias_um=-1.01, p95_um=4.01, share=0.979, sigma_mm=5e-3),
+    )
+    for name in ("bias", "p95", "valid_share"):
+        assert good[f"{name}_{treatment}"].holds is True
+        assert bad[f"{name}_{treatment}"].holds is False
+    assert {row.expected_to_hold for row in bad.values() if row.limit is not None} == {True}
+
+
+@pytest.mark.parametrize(
+    ("method", "name", "treatment"),
+    [
+        ("paper", "coin", FILTERED),
+        ("bundle", "coin", RAW),
+        ("bundle", "coin", DECONVOLVED),
+        ("bundle", "bga", DECONVOLVED_FILTERED),
+    ],
+)
+def test_other_rows_only_report(analytic, method, name, treatment):
+    found = rows(analytic(method=method), measured(name, treatment, bias_um=10.0, p95_um=20.0, share=0.5))
+    assert {(row.limit, row.holds, row.expected_to_hold) for row in found.values()} == {(None, None, None)}
+
+
+def test_the_quantile_of_noise_is_that_of_draws():
+    """10^6 draws: the 95 % point is known to sqrt(0.95 x 0.05 / 10^6) = 0.02 % of the share; five of these."""
+    rng = np.random.default_rng(7)
+    sigma = rng.lognormal(0, 1, 1_000_000)
+    drawn = np.abs(sigma * rng.standard_normal(len(sigma)))
+    # Every fiftieth pixel stands for all: its own sampling is 0.2 % of the share.
+    assert np.mean(drawn <= noise_quantile(sigma)) == pytest.approx(0.95, abs=0.005)
+    assert np.mean(drawn <= noise_quantile(sigma, 0.5)) == pytest.approx(0.5, abs=0.02)
+
+
+def test_noise_that_is_zero_or_unknown():
+    assert noise_quantile(np.zeros(5)) == 0.0
+    assert np.isnan(noise_quantile(np.array([np.nan])))
+    assert noise_quantile(np.array([0.0, 0.0, np.nan, 2.0]), 0.9) == pytest.approx(2 * 1.0364, rel=1e-3)

@@ -1,0 +1,82 @@
+"""Coplanarity of constructed apexes, by either plane."""
+
+import numpy as np
+import pytest
+
+from greenough.twin.validation.coplanarity import coplanarity, regression_plane, seating_planes
+
+CENTRE = np.zeros(2)
+
+
+def square(*heights: float) -> np.ndarray:
+    """Four apexes on the corners of a square of 2, then one at (0.3, 0.2)."""
+    xy = [(-1, -1), (1, -1), (1, 1), (-1, 1), (0.3, 0.2)][: len(heights)]
+    return np.column_stack([np.array(xy, float), heights])
+
+
+def test_the_package_stands_on_three_apexes_and_above_all():
+    """The middle one is the highest; of the triangles that it spans one holds the centre."""
+    apexes = square(0.0, 0.0, 0.0, -1.0, 0.5)
+    (plane,) = seating_planes(apexes, CENTRE)
+    above = plane[0] + apexes[:, :2] @ plane[1:] - apexes[:, 2]
+    np.testing.assert_array_equal(above < 1e-12, [True, False, False, True, True])
+
+
+def test_flat_but_one_low_ball():
+    """Eight apexes of height 0 and one, off the corner, 10 um low: the plane is z = 0 and the worst is the low one."""
+    x, y = np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0])
+    z = np.zeros(9)
+    z[5] = -0.010
+    # Heights alike to rounding would leave the hull's triangles to chance, all in the same plane.
+    apexes = np.column_stack([x.ravel(), y.ravel(), z - 1e-9 * (x.ravel() ** 2 + y.ravel() ** 2)])
+    assert coplanarity(apexes, seating_planes(apexes, CENTRE)) == pytest.approx(0.010, abs=1e-7)
+
+
+def test_distances_are_perpendicular_to_the_plane():
+    assert coplanarity(np.array([[0.0, 0.0, -1.0]]), np.array([0.0, 1.0, 0.0])) == pytest.approx(np.sqrt(0.5))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_seating_plane_is_the_lowest_that_keeps_above_all_apexes(seed):
+    """Brute force: of all planes through three apexes and above the others, the one that is lowest at the centre."""
+    rng = np.random.default_rng(seed)
+    apexes = np.column_stack([rng.uniform(-1, 1, (12, 2)), 0.05 * rng.standard_normal(12)])
+    lowest, best = np.inf, None
+    for i in range(12):
+        for j in range(i):
+            for k in range(j):
+                three = apexes[[i, j, k]]
+                plane = np.linalg.solve(np.column_stack([np.ones(3), three[:, :2]]), three[:, 2])
+                below = plane[0] + apexes[:, :2] @ plane[1:] - apexes[:, 2]
+                if below.min() > -1e-12 and plane[0] < lowest:
+                    lowest, best = plane[0], plane
+    (plane,) = seating_planes(apexes, CENTRE)
+    np.testing.assert_allclose(plane, best, atol=1e-9)
+
+
+def test_a_package_that_rocks_is_judged_by_the_worse_of_both_planes():
+    """Two opposite corners high: their line passes under the centre, and either of the others may touch as well."""
+    apexes = square(0.0, -0.02, 0.0, -0.04)
+    planes = seating_planes(apexes, CENTRE)
+    assert len(planes) == 2
+    # Either plane rises over the other diagonal by as much as it falls to its own corner: 0.06 at the free one.
+    slopes = [np.sqrt(1 + 2 * drop**2) for drop in (0.01, 0.02)]
+    assert sorted(coplanarity(apexes, plane) for plane in planes) == pytest.approx([0.06 / s for s in slopes[::-1]])
+    assert coplanarity(apexes, planes) == pytest.approx(0.06 / slopes[0])
+
+
+def test_the_regression_plane_touches_the_highest_apex():
+    """Four corners at 0, one at (0.3, 0.2) 0.1 high: worked out by hand from the normal equations."""
+    apexes = square(0.0, 0.0, 0.0, 0.0, 0.1)
+    design = np.column_stack([np.ones(5), apexes[:, :2]])
+    _, a, b = np.linalg.solve(design.T @ design, design.T @ apexes[:, 2])
+    plane = regression_plane(apexes)
+    np.testing.assert_allclose(plane[1:], [a, b], atol=1e-12)
+    assert plane[0] + 0.3 * a + 0.2 * b == pytest.approx(0.1)
+    worst = max(plane[0] + x * a + y * b for x, y in apexes[:4, :2])
+    assert coplanarity(apexes, plane) == pytest.approx(worst / np.sqrt(1 + a * a + b * b))
+
+
+def test_a_package_that_would_fall_over_is_told():
+    with pytest.raises(ValueError, match="no three apexes enclose"):
+        seating_planes(square(0.0, 0.1, 0.0, 0.1), np.array([5.0, 0.0]))

@@ -1,0 +1,76 @@
+"""What was measured of one specimen, by which treatment of the phase, and what noise alone would make of it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.special import erf
+
+from greenough.pipeline.compare import ErrorRow
+from greenough.pipeline.reconstruct import PointMap
+
+from ..bench import Truth
+from .setup import Setup
+
+RAW, FILTERED, DECONVOLVED, DECONVOLVED_FILTERED = "raw", "filtered", "deconvolved", "deconvolved_filtered"
+"""What is done to a phase map. Names of its rows and clouds end so, unless nothing is."""
+
+P95_LIMIT_UM, BIAS_LIMIT_UM, VALID_SHARE_LIMIT = 4.0, 1.0, 0.98
+"""What smooth surfaces must keep to, unaligned."""
+
+_PIXELS = 20_000  # that stand for all when noise is predicted
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """One specimen: its picture, its points, the truth of each pixel, and what a comparison of both says."""
+
+    name: str
+    treatment: str  # what was done to the phase
+    background: np.ndarray  # (rows, cols) DN
+    points: PointMap
+    height_sigma: np.ndarray  # (rows, cols) mm, of the points' heights by the frames' noise
+    truth: Truth
+    smooth: np.ndarray  # (rows, cols) bool
+    error: ErrorRow  # vertical, on the smooth surface
+    valid_share: float  # points among the pixels that are lit and seen
+
+    @property
+    def suffix(self) -> str:
+        """How names of its rows end."""
+        return "" if self.treatment == RAW else f"_{self.treatment}"
+
+
+def filter_name(setup: Setup, treatment: str) -> str:
+    """What a row says was done."""
+    names = {
+        RAW: "none",
+        DECONVOLVED: "deconvolved",
+        DECONVOLVED_FILTERED: f"deconvolved, {setup.filter_name}",
+        FILTERED: setup.filter_name,
+    }
+    return names[treatment]
+
+
+def has_limits(setup: Setup, measured: Measured) -> bool:
+    """Whether rows must keep to limits: those of the best treatment by the calibration that does not trust the stage.
+
+    The others report what blur, noise and the stage do.
+    """
+    return not setup.believes_stage and measured.treatment in (FILTERED, DECONVOLVED_FILTERED)
+
+
+def noise_quantile(sigma: np.ndarray, share: float = 0.95) -> float:
+    """What ``share`` of the absolute errors stay below, if they are normal and unbiased, each with its own ``sigma``.
+
+    Solves mean(erf(t / (sqrt(2) sigma))) = share for t, in the unit of ``sigma`` (n,); NaN without any.
+    """
+    sigma = sigma[np.isfinite(sigma)]
+    sigma = sigma[:: max(1, len(sigma) // _PIXELS)].astype(np.float64)
+    if len(sigma) == 0:
+        return float("nan")
+    largest = float(sigma.max())
+    if largest == 0:
+        return 0.0
+    sigma = np.maximum(sigma, 1e-9 * largest)
+    return float(brentq(lambda t: np.mean(erf(t / (np.sqrt(2) * sigma))) - share, 0.0, 10 * largest))

@@ -81,7 +81,7 @@ def estimate_phasor(grey: Sequence[Float], variance: Float, per_dn: Float) -> Ph
     """
     steps = len(grey)
     harmonics = [_harmonic(grey, k) for k in range(1, highest_harmonic(steps) + 1)]
-    amplitude = dr.abs(harmonics[0])
+    amplitude = dr.hypot(harmonics[0].real, harmonics[0].imag)
     turn = dr.conj(harmonics[0]) / dr.maximum(amplitude, _LEAST)  # exp(-iφ)
     correlation = dr.minimum(per_dn * amplitude / dr.maximum(2 * variance, _LEAST), 0.5)  # g; 0.5 where B is V / b
 
@@ -90,7 +90,9 @@ def estimate_phasor(grey: Sequence[Float], variance: Float, per_dn: Float) -> Ph
         ratio = correlation / (1 - correlation * ratio)
         phasor = harmonic - ratio * (turn * phasor)
     gain = 1 - correlation * ratio
-    return Phasor(dr.arg(phasor), dr.abs(phasor), 2 / steps * variance * gain / dr.squared_norm(phasor))
+    modulation = dr.hypot(phasor.real, phasor.imag)
+    phase = dr.atan2(phasor.imag, phasor.real)
+    return Phasor(phase, modulation, 2 / steps * variance * gain / dr.square(modulation))
 
 
 def _harmonic(grey: Sequence[Float], order: int) -> Complex2f:

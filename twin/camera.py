@@ -54,12 +54,14 @@ def expose(electrons: list[mi.Float], sensor: Sensor, seed: int, run: str, first
 def _read_out(mean: mi.Float, sensor: Sensor, key: int) -> mi.Float:
     section, settings = sensor.section, sensor.settings
     rng = dr.rng(seed=dr.opaque(mi.UInt64, key))
+    # Both are drawn whatever is on, so that switching one noise off leaves the other as it was.
+    shot, read = (rng.normal(mi.Float, dr.width(sensor.gain)) for _ in range(2))
     electrons = mean * sensor.gain
     if settings.shot_noise:
-        electrons = poisson(electrons, rng.normal(mi.Float, dr.width(sensor.gain)))
+        electrons = poisson(electrons, shot)
     electrons += sensor.offset_e
     if settings.read_noise_e > 0:
-        electrons += settings.read_noise_e * rng.normal(mi.Float, dr.width(sensor.gain))
+        electrons += settings.read_noise_e * read
     grey = section.black_level_dn + electrons / section.noise.electrons_per_dn
     if section.bits:
         grey = dr.clip(dr.round(grey), 0, section.full_scale_dn)

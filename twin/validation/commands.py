@@ -50,11 +50,12 @@ def budget(
     Each line takes a calibration and ten captures; goes on from FILE where it was interrupted.
     """
     from .budget import budget as run
-    from .budget import cases
+    from .budget import steps_to_do, tables
 
-    with progress(len(cases()), "budget", quiet=as_json) as advance:
-        costs = run(rig, settings or [], out, advance)
-    show({"costs": [asdict(cost) for cost in costs]}, as_json)
+    overrides = settings or []
+    with progress(steps_to_do(rig, overrides, out), "budget", quiet=as_json) as advance:
+        costs = run(rig, overrides, out, advance)
+    show(tables(costs), as_json)
 
 
 @app.command()

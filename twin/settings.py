@@ -116,7 +116,7 @@ class RenderSettings(BaseModel):
 
     model_config = _STRICT
     nodes: Nodes = 64
-    nodes_edges: Nodes = 256
+    nodes_edges: Nodes = 128
     nodes_indirect: Nodes = 16
     smoothing_px: Annotated[int, Field(ge=0, le=16)] = 4  # of interreflections along smooth surfaces; 0 is unbiased
     bounces: Annotated[int, Field(ge=1, le=8)] = 2  # surface interactions of a path: 1 has no interreflection

@@ -29,10 +29,18 @@ STAGE_ERRORS = ("position_sd_um", "straightness_sd_um", "pitch_roll_sd_urad", "a
 Crop = tuple[int, int, int, int]  # first column and row, columns, rows
 
 
-@pytest.fixture(scope="module")
-def twin() -> tuple[gt.TwinRig, gt.Bench, FringeSet]:
-    rig, bench = gt.open("twin", [f"twin.stage.{name}=0" for name in STAGE_ERRORS], run="sampling")
+Twin = tuple[gt.TwinRig, gt.Bench, FringeSet]
+
+
+def opened(*overrides: str) -> Twin:
+    rig, bench = gt.open("twin", [*(f"twin.stage.{name}=0" for name in STAGE_ERRORS), *overrides], run="sampling")
     return rig, bench, FringeSet(rig.procedure.periods_px, rig.procedure.steps)
+
+
+@pytest.fixture(scope="module")
+def twin() -> Twin:
+    """With ideal lenses."""
+    return opened("twin.optics.glass=false")
 
 
 def rendered(rig: gt.TwinRig, patterns: np.ndarray, crop: Crop, seed: int = 0, **integrator: Any) -> np.ndarray:
@@ -42,7 +50,8 @@ def rendered(rig: gt.TwinRig, patterns: np.ndarray, crop: Crop, seed: int = 0, *
     film = {"crop_offset_x": column, "crop_offset_y": row, "crop_width": columns, "crop_height": rows}
     scene["sensor"] = scene["sensor"] | {"film": scene["sensor"]["film"] | film}
     if "nodes" in integrator:
-        scene["integrator"].pop("node_table", None)
+        for name in ("node_table", "nodes_edges"):
+            scene["integrator"].pop(name, None)
     scene["integrator"] = scene["integrator"] | integrator
     loaded = mi.load_dict(scene)
     channels = loaded.integrator().render_channels(loaded, loaded.sensors()[0], seed)
@@ -88,8 +97,9 @@ def test_a_plane_is_as_smooth_as_its_best_polynomial_to_200_nm(twin, figure, z):
     assert floor <= 0.2
 
 
-def test_spots_lie_where_many_nodes_put_them(twin, figure):
-    rig, _, fringes = twin
+@pytest.mark.parametrize("glass", ["false", "true"])
+def test_spots_lie_where_many_nodes_put_them(figure, glass):
+    rig, _, fringes = opened(f"twin.optics.glass={glass}")
     patterns = fringes.patterns(*rig.projector.shape)[[12, 18]]  # opposite phases: their mean is the background
     crop = (820, 240, 200, 150)  # away from the axes
     rig.operator.place(Placement("board", posture=2))
@@ -104,7 +114,8 @@ def test_spots_lie_where_many_nodes_put_them(twin, figure):
     first, second = (centres(stack) for stack in references(rig, patterns, crop, bounces=1))
     noise = float(np.sqrt(np.mean((first - second) ** 2))) / 2
     bias = beyond(noise, centres(rendered(rig, patterns, crop, bounces=1)) - (first + second) / 2)
-    figure(f"spot centres against {REFERENCE_NODES} nodes (noise {noise:.4f}), RMS", bias, 0.01, "px")
+    lenses = {"false": "ideal lenses", "true": "glass"}[glass]
+    figure(f"spot centres, {lenses}, against {REFERENCE_NODES} nodes (noise {noise:.4f}), RMS", bias, 0.01, "px")
     assert bias <= 0.01
 
 

@@ -16,7 +16,7 @@ from .lens_projector import LensProjector
 
 CameraRay = Callable[[mi.UInt32, mi.Point2f, mi.Point2f], tuple[mi.Ray3f, mi.Float]]
 
-MARGIN = 1.5  # on the size of a blur that is known from single rays
+MARGIN = 1.25  # on the size of a blur that is known from single rays
 STRIDE = 8  # of the pixels in rows and columns whose blur is looked at
 
 

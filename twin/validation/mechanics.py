@@ -37,15 +37,25 @@ class Drift:
     planes: np.ndarray
 
 
-def expected_error(setup: Setup, heights: np.ndarray, places: np.ndarray | None = None) -> np.ndarray:
+def expected_error(
+    setup: Setup, heights: np.ndarray, places: np.ndarray | None = None, z_range: np.ndarray | None = None
+) -> np.ndarray:
     """Error of z that stage, board and table make by the setup's method at true heights; see `systematic_error`.
+
+    ``z_range`` (places, 2) are the lowest and highest plane that were seen from each place, by default all: at the rim
+    of the board and of the light they are fewer.
 
     The bundle takes the mean pitch of its board for the drawing's: what that is too long by, all lengths become too
     short by.
     """
     drift = calibration_drift(setup)
     if setup.believes_stage:
-        return systematic_error(setup.bench, setup.readings, heights, places, drift)
+        seen = None
+        if z_range is not None:
+            half_step = setup.calibration.procedure.plane_step_mm / 2
+            readings = setup.readings[:, None]
+            seen = (readings > z_range[:, 0] - half_step) & (readings < z_range[:, 1] + half_step)
+        return systematic_error(setup.bench, setup.readings, heights, places, drift, seen)
     printed, drawn = setup.bench.printed_centres, setup.calibration.board.centres()
     excess = np.sum((printed - drawn) * drawn) / np.sum(drawn**2)  # both are centred
     heights = _at_places(heights, field_grid() if places is None else places)
@@ -58,6 +68,7 @@ def systematic_error(
     heights: np.ndarray,
     places: np.ndarray | None = None,
     drift: Drift | None = None,
+    seen: np.ndarray | None = None,
 ) -> np.ndarray:
     """Error of z by the paper's method at true heights.
 
@@ -72,6 +83,8 @@ def systematic_error(
         mm; default is ``field_grid()``.
     drift : Drift, optional
         None if there is none to be reckoned with.
+    seen : (planes, places) bool, optional
+        Which planes each place's relation is fitted to; default is all.
 
     Returns
     -------
@@ -86,7 +99,8 @@ def systematic_error(
         true, at_zero = true + drift.planes[:, None], at_zero + drift.at_zero
     error, zero = np.empty(heights.shape), np.empty(len(places))
     for k in range(len(places)):
-        relation = chebyshev.chebfit(true[:, k] / scale, readings, DEGREE)
+        used = slice(None) if seen is None else seen[:, k]
+        relation = chebyshev.chebfit(true[used, k] / scale, readings[used], DEGREE)
         error[:, k] = chebyshev.chebval(heights[:, k] / scale, relation) - heights[:, k]
         zero[k] = chebyshev.chebval(at_zero[k] / scale, relation)
     return error - zero.mean()

@@ -23,6 +23,7 @@ PAPER_LINE, PAPER_ROWS = 330, 960  # the row whose profile the paper shows, and 
 NOISE_MODEL_TOLERANCE = 0.05
 STRUCTURE_LIMIT_UM = 0.5
 FILTERED_LIMIT_UM = 0.65
+_TOLERANCE = 0.1  # of the noise of the calibration's planes beside that of one near the focus
 _EVERY = 32  # pixels between those where a smooth shape is predicted
 CALIBRATION_SD_SHARE = 0.27
 """Standard deviation of a four-parameter fit to 30 planes over that of one measurement, in the middle of its range
@@ -84,12 +85,14 @@ def noise_claims(setup: Setup, plane: PlaneNoise) -> Iterator[Claim]:
     """What one and two exposures of a plane scatter by, about the best plane through them.
 
     Predicted from the frames' noise, the calibration's, and the shape that the calibration took for flat. The spread of
-    a prediction is that of the sample: of n normal deviates, the root mean square has σ / √(2n).
+    a prediction is that of the sample, of n normal deviates σ / √(2n), and what the calibration's noise may differ by
+    from that of this exposure: its planes lie farther from the focus.
     """
     raw, two, filtered = plane.raw, plane.two_exposures, plane.filtered
     everywhere, on_line = _expected_shape(setup, plane.xy)
     shape = rms(everywhere)
     fixed = CALIBRATION_SD_SHARE * plane.noise if setup.believes_stage else 0.0
+    pattern = 1e3 * fixed
 
     def scatter(measurement: float) -> float:
         return 1e3 * float(np.sqrt(shape**2 + measurement**2 + fixed**2))
@@ -108,7 +111,8 @@ def noise_claims(setup: Setup, plane: PlaneNoise) -> Iterator[Claim]:
         yield setup.claim(
             f"plane_rmse_{name}", "plane", 1e3 * rms(departures), "um", count(departures), criterion,
             paper=1.223, limit=limit, filter=filter, alignment="best plane",
-            predicted=expected, predicted_sd=expected / np.sqrt(2 * count(departures)),
+            predicted=expected,
+            predicted_sd=float(np.hypot(expected / np.sqrt(2 * count(departures)), _TOLERANCE * pattern**2 / expected)),
         )  # fmt: skip
     ratio = 1e3 * rms(raw) / one
     yield setup.claim(
@@ -141,10 +145,10 @@ def _line_claim(setup: Setup, plane: PlaneNoise, shape: np.ndarray, sigma: float
 
 def _structure_claims(setup: Setup, plane: PlaneNoise, shape_um: float) -> Iterator[Claim]:
     blocks = f"means over blocks of {BLOCK_PX} x {BLOCK_PX} px"
-    predicted = shape_um if setup.believes_stage else None
+    limit, predicted = (None, shape_um) if setup.believes_stage else (STRUCTURE_LIMIT_UM, None)
     yield setup.claim(
         "plane_structure", "plane", 1e3 * structure(plane.raw), "um", count(plane.raw),
-        "root mean square of the means beyond what white noise gives them, one exposure", limit=STRUCTURE_LIMIT_UM,
+        "root mean square of the means beyond what white noise gives them, one exposure", limit=limit,
         filter=blocks, alignment="best plane", predicted=predicted,
     )  # fmt: skip
     yield setup.claim(

@@ -41,8 +41,9 @@ class MeasuredPlane:
         How it really lay.
     errors : (points,)
         Vertical, of filtered points.
-    blocks : (blocks, 4)
-        x, y, z and vertical error of unfiltered points, means over blocks of pixels.
+    blocks : (blocks, 6)
+        x, y, z and vertical error of unfiltered points, and the lowest and highest height that their pixels are
+        calibrated for: means over blocks of pixels.
     span : (2, 2)
         Lowest and highest x and y that are measured along the middle of the field.
     noise, filtered_noise : float
@@ -62,6 +63,11 @@ class MeasuredPlane:
         """dz/dx and dz/dy, (2,)."""
         normal = self.world_from_plane[:3, 2]
         return -normal[:2] / normal[2]
+
+    @property
+    def z_range(self) -> np.ndarray:
+        """Calibrated heights (n, 2) at ``places``, mm."""
+        return self.blocks[_EVERY // 2 :: _EVERY, 4:]
 
     @property
     def places(self) -> np.ndarray:
@@ -92,7 +98,7 @@ def _measured(setup: Setup, placement: Placement, phase_map: PhaseMap, smoother:
         tilted=any(placement.pose_mm_deg),
         world_from_plane=setup.bench.world_from_part,
         errors=vertical_error(setup, points)[points.valid],
-        blocks=_block_means(unfiltered, vertical_error(setup, unfiltered)),
+        blocks=_block_means(unfiltered, vertical_error(setup, unfiltered), setup.calibration.phase_height.z_range),
         span=_span(points),
         noise=rms(setup.height_sigma(phase_map)[points.valid]),
         filtered_noise=rms(setup.height_sigma(smoother)[points.valid]),
@@ -194,8 +200,8 @@ def _foretold(setup: Setup, planes: Sequence[MeasuredPlane]) -> np.ndarray:
     draws = []
     for plane in planes:
         *xy, heights = plane.places.T
-        error = expected_error(setup, heights[None], np.column_stack(xy)) + left_to_chance(setup, heights[None])
-        draws.append(error[:, 0])
+        error = expected_error(setup, heights[None], np.column_stack(xy), plane.z_range)
+        draws.append((error + left_to_chance(setup, heights[None]))[:, 0])
     return np.concatenate(draws, axis=1)
 
 
@@ -228,9 +234,11 @@ def without_motion(points: Sequence[np.ndarray], planes: Sequence[MeasuredPlane]
     return error - design @ np.linalg.lstsq(design, error, rcond=None)[0]
 
 
-def _block_means(points: PointMap, error: np.ndarray) -> np.ndarray:
-    """Means of x, y, z and error over the blocks of which at least half is measured, (blocks, 4)."""
-    blocks = np.stack([blocks_of(image) for image in (*np.moveaxis(points.xyz, -1, 0), error)], axis=-1)
+def _block_means(points: PointMap, error: np.ndarray, z_range: np.ndarray) -> np.ndarray:
+    """``MeasuredPlane.blocks`` of images, ``z_range`` (rows, cols, 2): blocks of which at least half is measured."""
+    z_range = np.where(points.valid[..., None], z_range, np.nan)
+    images = (*np.moveaxis(points.xyz, -1, 0), error, *np.moveaxis(z_range, -1, 0))
+    blocks = np.stack([blocks_of(image) for image in images], axis=-1)
     return np.nanmean(blocks[half_measured(blocks[..., 3])], axis=1)
 
 

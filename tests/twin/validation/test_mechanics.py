@@ -96,3 +96,21 @@ def test_percentile_with_noise_is_the_folded_normal_s_about_a_bias():
     # 199 deviates stand for the normal distribution: between 0.945 and 0.955, so to 3 %.
     assert percentile_with_noise(np.zeros(100), 1e-3, 0.95) == pytest.approx(1.96e-3, rel=0.03)
     assert percentile_with_noise(np.full(100, 0.1), 1e-3, 0.95) - 0.1 == pytest.approx(1.645e-3, rel=0.03)
+
+
+def test_where_fewer_planes_are_seen_their_errors_count_for_more(analytic):
+    """A stage that is 5 um too high in its upper half: who saw the lower half alone makes no error there."""
+
+    def jumping(reading: float, xy: np.ndarray) -> np.ndarray:
+        return np.full(len(xy), reading + (5e-3 if reading > 0.2 else 0.0))
+
+    setup = analytic(blank_face_height=jumping)
+    heights = np.full((1, 2), -1.0)
+    everything, lower = [[-1.45, 1.45], [-1.45, 0.15]]
+    error = expected_error(setup, heights, np.zeros((2, 2)), np.array([everything, lower]))[0]
+    # Both are counted from the mean of what they make of the blank side at 0.
+    whole = expected_error(setup, heights, np.zeros((2, 2)))[0]
+    assert whole[0] == whole[1]
+    assert abs(error[0] - error[1]) > 0.1e-3
+    alone = expected_error(setup, heights[:, :1], np.zeros((1, 2)), np.array([lower]))
+    np.testing.assert_allclose(alone, 0, atol=1e-9)

@@ -34,7 +34,9 @@ def plane(world_from_plane: np.ndarray, error=lambda xyz: np.zeros(xyz.shape[:2]
         tilted=bool(abs(normal[2]) < 0.999),
         world_from_plane=world_from_plane,
         errors=errors.ravel(),
-        blocks=_block_means(PointMap(xyz + errors[..., None] * [0, 0, 1]), errors),
+        blocks=_block_means(
+            PointMap(xyz + errors[..., None] * [0, 0, 1]), errors, np.full((*z.shape, 2), [-1.45, 1.45])
+        ),
         span=np.array([[-4.0, -3.0], [4.0, 3.0]]),
         noise=1.6e-3,
         filtered_noise=1.6e-3,

@@ -3,13 +3,14 @@
 import ast
 import re
 import tomllib
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
 import pytest
 from pydantic import BaseModel
 
-from greenough.instrument.rigfile import load_rig_file
+from greenough.instrument.rigfile import RigFile, load_rig_file
 from greenough.twin.settings import TwinSettings, twin_settings
 
 PAGE = Path(__file__).parent.parent / "docs" / "physics.md"
@@ -35,8 +36,13 @@ def value(cell: str) -> object:
     return tomllib.loads(f"value = {cell.strip('`')}")["value"]
 
 
+@cache
+def rig_file_with(*overrides: str) -> RigFile:
+    return load_rig_file("twin", overrides)
+
+
 def at_present(setting: str, *overrides: str) -> object:
-    rig_file = load_rig_file("twin", overrides)
+    rig_file = rig_file_with(*overrides)
     section, *fields = setting.strip("`").split(".")
     found: object = twin_settings(rig_file) if section == "twin" else getattr(rig_file, section)
     for field in fields:

@@ -21,8 +21,9 @@ def calibrate_by_bundle(data: CalibrationData) -> Calibration:
     """Fit camera, projector, spots, postures and planes together, and turn the model into maps of every pixel.
 
     z = 0 is the printed face in the flat posture as the spots' phases show it: the board need not be turned over
-    exactly. The blank side at stage position 0 is one more plane. Pixels are valid where, and as far as, planes were
-    seen; their relation is the model's, without any pattern of their own.
+    exactly. The blank side at stage position 0 is one more plane. Pixels are valid where enough planes were seen; their
+    relation is the model's, without any pattern of their own, and holds from the lowest to the highest plane also where
+    the board's rim passed by in between.
 
     Raises
     ------
@@ -41,7 +42,7 @@ def calibrate_by_bundle(data: CalibrationData) -> Calibration:
     instrument = bundle.state.instrument
     rays, everywhere = model_maps(instrument, float(heights.min()), float(heights.max()))
     planes = plane_residuals(everywhere, rays, data.phases, surface)
-    relation = everywhere.within(planes.z_range, planes.count >= MIN_PLANES)
+    relation = everywhere.within(everywhere.z_range, planes.count >= MIN_PLANES)
     if not relation.valid.any():
         raise InputError(
             f"no pixel has a valid phase in {MIN_PLANES} or more of the {len(data.phases)} planes: check that the "

@@ -72,15 +72,12 @@ class PlaneResiduals:
         pixels count.
     pixels_um : (rows, cols) float32
         The same, root mean square over the planes; NaN where none counts.
-    z_range : (rows, cols, 2) float32
-        Lowest and highest plane that counts, mm; NaN where none does.
     count : (rows, cols) int
         How many count.
     """
 
     blocks_um: np.ndarray
     pixels_um: np.ndarray
-    z_range: np.ndarray
     count: np.ndarray
 
 
@@ -91,7 +88,6 @@ def plane_residuals(relation: PhaseHeight, rays: Rays, phases: np.ndarray, surfa
     side = cols // grid_cols
     blocks = np.full((len(phases), grid_rows, grid_cols), np.nan, dtype=np.float32)
     pixels = np.empty((rows, cols), dtype=np.float32)
-    z_range = np.empty((rows, cols, 2), dtype=np.float32)
     count = np.empty((rows, cols), dtype=int)
 
     def compare(top: int) -> None:
@@ -101,7 +97,7 @@ def plane_residuals(relation: PhaseHeight, rays: Rays, phases: np.ndarray, surfa
         origin, slope = rays.origin[strip], rays.slope[strip]
         span = part.z_range[..., 1] - part.z_range[..., 0]
         limit = MISFIT_RAD * span / (2 * part.phase_half_range)
-        squares, low, high = np.zeros(part.shape), np.full(part.shape, np.inf), np.full(part.shape, -np.inf)
+        squares = np.zeros(part.shape)
         for k in range(len(phases)):
             height = part.height(phases[k, strip])
             plane = surface(k, (origin + height[..., None] * slope).reshape(-1, 2)).reshape(part.shape)
@@ -110,12 +106,10 @@ def plane_residuals(relation: PhaseHeight, rays: Rays, phases: np.ndarray, surfa
             if top // side < grid_rows:
                 blocks[k, top // side] = 1e3 * block_map(residual)[0]
             squares += np.where(counts, residual, 0.0) ** 2
-            low, high = np.where(counts, np.minimum(low, plane), low), np.where(counts, np.maximum(high, plane), high)
             count[strip] = counts + (count[strip] if k else 0)
         seen = count[strip] > 0
         pixels[strip] = np.where(seen, 1e3 * np.sqrt(squares / np.maximum(count[strip], 1)), np.nan)
-        z_range[strip] = np.where(seen[..., None], np.stack([low, high], axis=-1), np.nan)
 
     with ThreadPoolExecutor(_THREADS) as pool:
         list(pool.map(compare, range(0, rows, side)))
-    return PlaneResiduals(blocks, pixels, z_range, count)
+    return PlaneResiduals(blocks, pixels, count)

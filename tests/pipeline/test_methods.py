@@ -101,6 +101,17 @@ def test_both_measure_the_same_pixels(measured):
     assert (seen[0] & seen[1]).sum() > 0.97 * (seen[0] | seen[1]).sum()
 
 
+def test_the_bundle_holds_where_the_boards_rim_passed_by(measured):
+    """Pixels that did not see all planes know less by the paper's method; the bundle's smooth model is as good there."""
+    relation = measured["bundle"].calibration.phase_height
+    assert np.ptp(relation.z_range[relation.valid], axis=0).max() < 1e-4
+    more = np.isfinite(measured["bundle"].error) & ~np.isfinite(measured["paper"].error)
+    rest = np.isfinite(measured["bundle"].error) & ~more
+    assert more.sum() > 50
+    rms = [np.sqrt(np.mean(measured["bundle"].error[where] ** 2)) for where in (more, rest)]
+    assert rms[0] < 1.5 * rms[1]
+
+
 def test_reprojection_falls_to_the_spots_noise_when_their_places_are_estimated(measured):
     rmse = {method: result.calibration.figures["reprojection_rmse_u_px"] for method, result in measured.items()}
     assert rmse["bundle"] < 0.8 * rmse["paper"]

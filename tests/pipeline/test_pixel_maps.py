@@ -74,7 +74,6 @@ def test_planes_that_lie_as_stated_leave_nothing_over(instrument, maps):
     assert np.abs(found.blocks_um).max() < 0.03
     assert found.pixels_um.max() < 0.03
     assert (found.count == 9).all()
-    np.testing.assert_allclose(found.z_range, np.broadcast_to([-1.3, 1.4], (*SHAPE, 2)), atol=1e-6)
 
 
 def test_a_plane_that_lies_otherwise_shows_with_its_sign_and_shape(instrument, maps):
@@ -106,7 +105,6 @@ def test_planes_that_a_pixel_did_not_see_or_that_miss_the_model_do_not_count(ins
     assert (found.count[:, 250:] == MIN_PLANES - 1).all()
     assert found.count[100, 50] == found.count[100, 220] == MIN_PLANES
     assert found.count[100, 60] == MIN_PLANES + 1
-    np.testing.assert_allclose(found.z_range[100, [50, 220, 60]], heights[[[0, -2], [1, -1], [0, -1]]], atol=1e-6)
-    seen = relation.within(found.z_range, found.count >= MIN_PLANES)
+    seen = relation.within(relation.z_range, found.count >= MIN_PLANES)
     assert not seen.valid[:, 250:].any()
     assert seen.valid[:, :250].all()

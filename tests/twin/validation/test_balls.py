@@ -140,6 +140,23 @@ def test_only_where_truth_lies_counts(setup):
     assert found["substrate_p95"].measured > 300.0
 
 
+def test_errors_count_where_the_surface_is_smooth_and_shares_where_it_is_lit_and_seen(setup):
+    """In the left half nothing is smooth and errors are large; in the upper half nothing is lit and nothing measured."""
+    xyz = true_points()
+    rows_, cols_ = (n // 2 for n in xyz.shape[:2])
+    xyz[:, :cols_, 2] += 0.04
+    xyz[:rows_] = np.nan
+    everything = measured(xyz)
+    smooth, lit = np.ones((2, *xyz.shape[:2]), bool)
+    smooth[:, :cols_], lit[:rows_] = False, False
+    truth = SimpleNamespace(lit_and_seen=lit, xyz_world=true_points())
+    found = rows(setup(), replace(everything, smooth=smooth, truth=truth))
+    assert found["cap15_p95"].measured < 0.01
+    assert found["cap15_valid_share"].measured == 1.0
+    assert rows(setup(), everything)["cap15_p95"].measured == pytest.approx(40.0, abs=0.1)
+    assert rows(setup(), everything)["cap15_valid_share"].measured == pytest.approx(0.5, abs=0.05)
+
+
 def test_errors_above_balls_are_those_above_their_mesh(setup):
     """The mesh's facets depart from the spheres by less than 0.1 um, more in z where they are steep."""
     grid = BallGridAsMounted.of(setup().bench)

@@ -102,7 +102,7 @@ def test_both_measure_the_same_pixels(measured):
 
 
 def test_the_bundle_holds_where_the_boards_rim_passed_by(measured):
-    """Pixels that did not see all planes know less by the paper's method; the bundle's smooth model is as good there."""
+    """Pixels that did not see all planes know less by the paper's method; the bundle's model is as good there."""
     relation = measured["bundle"].calibration.phase_height
     assert np.ptp(relation.z_range[relation.valid], axis=0).max() < 1e-4
     more = np.isfinite(measured["bundle"].error) & ~np.isfinite(measured["paper"].error)

@@ -141,7 +141,7 @@ def test_only_where_truth_lies_counts(setup):
 
 
 def test_errors_count_where_the_surface_is_smooth_and_shares_where_it_is_lit_and_seen(setup):
-    """In the left half nothing is smooth and errors are large; in the upper half nothing is lit and nothing measured."""
+    """In the left half nothing is smooth and errors are large; in the upper half nothing is lit nor measured."""
     xyz = true_points()
     rows_, cols_ = (n // 2 for n in xyz.shape[:2])
     xyz[:, :cols_, 2] += 0.04

@@ -152,6 +152,21 @@ def left_to_chance(setup: Setup, heights: np.ndarray) -> np.ndarray:
     return own - fitted - zero[:, None, None]
 
 
+def calibration_noise_share(setup: Setup, heights: np.ndarray) -> float:
+    """Noise that the calibration's planes leave in z at ``heights`` (n,), over that of one measurement: RMS over these.
+
+    The polynomial V c through the planes, which are as noisy, has at z the variance v(z)ᵀ (VᵀV)⁻¹ v(z) of one of them.
+    It is a pattern of single pixels that no filter takes out of z. The bundle fits no relation to single pixels and has
+    no such pattern.
+    """
+    if not setup.believes_stage:
+        return 0.0
+    scale = np.abs(setup.readings).max()
+    planes, here = (chebyshev.chebvander(z / scale, DEGREE) for z in (setup.readings, heights))
+    leverage = np.einsum("ni,ij,nj->n", here, np.linalg.inv(planes.T @ planes), here)
+    return float(np.sqrt(leverage.mean()))
+
+
 def percentile_with_noise(error: np.ndarray, sigma: float, share: float) -> float:
     """The ``share``-quantile of |error + noise| over all of ``error``, for normal noise of ``sigma``, mm."""
     noise = sigma * ndtri((np.arange(_QUANTILES) + 0.5) / _QUANTILES)

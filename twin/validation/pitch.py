@@ -55,9 +55,9 @@ def board_claims(setup: Setup, part: str, prefix: str, centres: np.ndarray) -> I
             predicted=float(np.mean(printed)),
         )  # fmt: skip
         yield setup.claim(
-            f"{prefix}_sd{suffix}", part, float(np.std(measured, ddof=1)), "mm", n,
+            f"{prefix}_sd{suffix}", part, _sd(measured), "mm", n,
             "standard deviation of single distances, the board's print errors included; predicted from these",
-            paper=0.0011, limit=0.0011, filter=FILTER, predicted=float(np.std(printed, ddof=1)),
+            paper=0.0011, limit=0.0011, filter=FILTER, predicted=_sd(printed),
             # Errors of sd e that are independent of the print's change its standard deviation by e / sqrt(n).
             predicted_sd=1e-3 * ERROR_SD_LIMIT_UM / np.sqrt(n),
         )  # fmt: skip
@@ -66,7 +66,7 @@ def board_claims(setup: Setup, part: str, prefix: str, centres: np.ndarray) -> I
             "mean difference from the true distances of this board", filter=FILTER, limit=mean_limit,
         )  # fmt: skip
         yield setup.claim(
-            f"{prefix}_error_sd{suffix}", part, 1e3 * float(np.std(error, ddof=1)), "um", n,
+            f"{prefix}_error_sd{suffix}", part, 1e3 * _sd(error), "um", n,
             "standard deviation of the differences from the true distances of this board", filter=FILTER,
             limit=sd_limit,
         )  # fmt: skip
@@ -106,6 +106,11 @@ def paper_pairs(board: SpotBoard) -> np.ndarray:
     index = np.arange(board.rows * board.cols).reshape(board.rows, board.cols)
     top, left = (board.rows - PAPER_ROWS) // 2, (board.cols - PAPER_COLS) // 2
     return _neighbours(index[top : top + PAPER_ROWS, left : left + PAPER_COLS])
+
+
+def _sd(values: np.ndarray) -> float:
+    """Standard deviation of a sample; NaN of less than two."""
+    return float(np.std(values, ddof=1)) if len(values) > 1 else np.nan
 
 
 def _neighbours(index: np.ndarray) -> np.ndarray:

@@ -108,8 +108,11 @@ class Setup:
 
         Without ``holds``, |measured| <= limit decides, or measured >= limit where the limit is ``at_least`` to be
         reached. Without ``expected_to_hold``, the same is asked of what is ``predicted``, and a limit within
-        `TOSS_UP_SDS` of ``predicted_sd`` leaves it open. A row without a prediction is expected to hold.
+        `TOSS_UP_SDS` of ``predicted_sd`` leaves it open. A row without a prediction, or with one that is not finite, is
+        expected to hold.
         """
+        if predicted is not None and not np.isfinite(predicted):
+            predicted = predicted_sd = None
         expected: bool | None = True if expected_to_hold is None else expected_to_hold
         if limit is not None and holds is None:
             holds = measured >= limit if at_least else abs(measured) <= limit

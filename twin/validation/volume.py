@@ -11,7 +11,7 @@ from greenough.pipeline.phasor_filter import filter_phasors
 from greenough.pipeline.reconstruct import PointMap
 
 from .claims import Claim
-from .mechanics import expected_error, left_to_chance, percentile_with_noise
+from .mechanics import calibration_noise_share, expected_error, left_to_chance, percentile_with_noise
 from .planes import BLOCK_PX, blocks_of, half_measured, rms, vertical_error
 from .setup import Setup
 
@@ -26,8 +26,6 @@ PLANES = len(VOLUME_HEIGHTS_MM) + len(TILTS_DEG)
 
 SYSTEMATIC_LIMITS_UM = (0.5, 1.5)  # root mean square, and for 99 %
 _EVERY = 13  # blocks between those for which systematic errors are predicted
-CALIBRATION_SD_SHARE = 0.37
-"""As `noise.CALIBRATION_SD_SHARE`, over the whole range of heights."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +129,8 @@ def depth_claims(setup: Setup, planes: Sequence[MeasuredPlane]) -> Iterator[Clai
 def _percentile_claim(
     setup: Setup, planes: Sequence[MeasuredPlane], name: str, where: str, paper: float | None
 ) -> Claim:
-    fixed = CALIBRATION_SD_SHARE * rms(np.array([plane.noise for plane in planes])) if setup.believes_stage else 0.0
+    heights = np.concatenate([plane.places[:, 2] for plane in planes])
+    fixed = calibration_noise_share(setup, heights) * rms(np.array([plane.noise for plane in planes]))
     sigma = float(np.hypot(rms(np.array([plane.filtered_noise for plane in planes])), fixed))
     together = np.abs(np.concatenate([plane.errors for plane in planes]))
     return setup.claim(

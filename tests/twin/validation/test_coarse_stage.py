@@ -11,6 +11,8 @@ from greenough.pipeline.rays import rays_of_camera
 from greenough.twin.rig import open as open_twin
 from greenough.twin.scene import axis_frame
 from greenough.twin.validation.coarse_stage import SPECIMEN, coarse_stage_claims, predicted_percentiles, steps
+from greenough.twin.validation.mechanics import systematic_error
+from greenough.twin.validation.volume import VOLUME_HEIGHTS_MM
 
 # A whole field in pixels of 40 um, and an instrument whose stage is no lucky one.
 COARSE = (
@@ -39,8 +41,10 @@ def test_a_coarse_stage_errs_as_predicted_and_by_more_than_the_limit(paper):
     """Errors of some 10 um are predicted to what the grid of places, the picture's rim and coarse pixels leave open."""
     done = []
     rows = {row.claim: row for row in coarse_stage_claims("twin", COARSE, paper, done.append)}
-    rig, _ = open_twin("twin", COARSE)
+    rig, bench = open_twin("twin", COARSE)
     assert sum(done) == steps(rig)
+    default = 1e3 * np.percentile(np.abs(systematic_error(bench, plane_heights(rig), np.array(VOLUME_HEIGHTS_MM))), 95)
+    assert rows["depth_p95_volume"].predicted > 2 * default  # three times the errors of the default stage
     assert {row.specimen for row in rows.values()} == {SPECIMEN}
     assert {row.calibration for row in rows.values()} == {"paper"}
     for name in ("depth_p95_volume", "depth_tilted_p95", "depth_systematic_rms", "depth_tilted_systematic_rms"):

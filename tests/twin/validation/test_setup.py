@@ -38,6 +38,11 @@ def test_a_claim_without_a_prediction_is_never_left_open(analytic):
     assert (claim.holds, claim.expected_to_hold, claim.as_expected) == (False, True, False)
 
 
+def test_a_prediction_that_is_no_number_excuses_nothing(analytic):
+    claim = analytic().claim("depth", "plane", 5.0, "um", 1, "", limit=4.0, predicted=float("nan"), predicted_sd=0.1)
+    assert (claim.holds, claim.expected_to_hold, claim.predicted, claim.predicted_sd) == (False, True, None, None)
+
+
 @pytest.mark.parametrize(("predicted", "expected"), [(0.99, True), (0.955, None), (0.9, False)])
 def test_a_limit_may_be_a_least_value(analytic, predicted, expected):
     for measured in (0.94, 0.96):

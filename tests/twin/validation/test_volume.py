@@ -5,6 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from greenough.pipeline.reconstruct import PointMap
+from greenough.twin.validation.mechanics import calibration_noise_share
 from greenough.twin.validation.volume import (
     VOLUME_HEIGHTS_MM,
     MeasuredPlane,
@@ -105,8 +106,9 @@ def test_each_kind_of_plane_has_its_own_percentile(analytic):
     rows = rows_of(analytic(), volume(lambda xyz: 2e-3 * (np.ptp(xyz[..., 2]) > 0.1) * np.ones(xyz.shape[:2])))
     assert rows["depth_p95_volume"].measured == pytest.approx(1.96 * 1.6, rel=0.02)
     assert rows["depth_tilted_p95"].measured == pytest.approx(2 + 1.645 * 1.6, rel=0.02)
-    # The prediction knows of the frames' noise and of the calibration's, 0.37 of it.
-    assert rows["depth_p95_volume"].predicted == pytest.approx(1.96 * 1.6 * np.hypot(1, 0.37), rel=0.03)
+    # The prediction knows of the frames' noise and of the calibration's.
+    share = calibration_noise_share(analytic(), np.array(VOLUME_HEIGHTS_MM))
+    assert rows["depth_p95_volume"].predicted == pytest.approx(1.96 * 1.6 * np.hypot(1, share), rel=0.03)
 
 
 def test_a_stage_that_goes_too_far_is_predicted_in_every_row_of_the_paper_s_method(analytic):

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 from greenough.instrument.files import atomic_path
 
@@ -84,6 +84,13 @@ class Claim:
     def as_expected(self) -> bool:
         """Whether the row behaves as it should: held where it should hold, failed where it cannot, or open."""
         return self.expected_to_hold is None or self.holds == self.expected_to_hold
+
+
+class Prediction(TypedDict, total=False):
+    """What a model expects of a row's figure, as `Claim` has it; empty where none does."""
+
+    predicted: float
+    predicted_sd: float
 
 
 def expectation(predicted_to_hold: bool, margin: float, predicted_sd: float | None) -> bool | None:

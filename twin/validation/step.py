@@ -6,7 +6,7 @@ import numpy as np
 
 from greenough.instrument.contract import Placement
 
-from .claims import Claim
+from .claims import Claim, Prediction
 from .mechanics import expected_error, field_grid, left_to_chance
 from .planes import count, vertical_error
 from .setup import Setup
@@ -31,11 +31,11 @@ def step_claims(setups: Sequence[Setup]) -> Iterator[Claim]:
         yield setup.claim(
             "step_2500um", "plane", 1e3 * step, "um", count(lower) + count(upper),
             f"error of a true step of {true[1] - true[0]:.4f} mm", limit=LIMITS_UM[setup.calibration.method],
-            **(_prediction(setup, np.array(true)) if setup.believes_stage else {}),
+            **(_prediction(setup, np.array(true)) if setup.believes_stage else Prediction()),
         )  # fmt: skip
 
 
-def _prediction(setup: Setup, heights: np.ndarray) -> dict[str, float]:
+def _prediction(setup: Setup, heights: np.ndarray) -> Prediction:
     """From stage, board and table as they are."""
     low, high = expected_error(setup, heights).mean(axis=1)
     chance = left_to_chance(setup, np.tile(heights[:, None], len(field_grid()))).mean(axis=2)  # (draws, 2)

@@ -10,7 +10,7 @@ from greenough.pipeline.decode import PhaseMap
 from greenough.pipeline.phasor_filter import filter_phasors
 from greenough.pipeline.reconstruct import PointMap
 
-from .claims import Claim
+from .claims import Claim, Prediction
 from .mechanics import calibration_noise_share, expected_error, left_to_chance, percentile_with_noise
 from .planes import BLOCK_PX, blocks_of, half_measured, rms, vertical_error
 from .setup import Setup
@@ -164,7 +164,7 @@ def _systematic_claims(setup: Setup, planes: Sequence[MeasuredPlane]) -> Iterato
             (_p99, "p99", SYSTEMATIC_LIMITS_UM[1], "99 % of the vertical errors"),
         ):
             # The bundle's errors are those of its fit, which no model of stage and board foretells.
-            prediction = _prediction(statistic, draws) if setup.believes_stage else {}
+            prediction = _prediction(statistic, draws) if setup.believes_stage else Prediction()
             yield setup.claim(
                 f"{name}_{suffix}", "plane", 1e3 * statistic(measured), "um", len(measured), f"{criterion} of {which}",
                 limit=limit, filter=averaged, alignment="one rigid motion of all planes", **prediction,
@@ -204,7 +204,7 @@ def _foretold(setup: Setup, planes: Sequence[MeasuredPlane]) -> np.ndarray:
     return np.concatenate(draws, axis=1)
 
 
-def _prediction(statistic: Callable[[np.ndarray], float], draws: np.ndarray) -> dict[str, float]:
+def _prediction(statistic: Callable[[np.ndarray], float], draws: np.ndarray) -> Prediction:
     """Mean and standard deviation in µm of a figure over draws (draws, places) of errors in mm."""
     figures = [1e3 * statistic(errors) for errors in draws]
     return {"predicted": float(np.mean(figures)), "predicted_sd": float(np.std(figures))}

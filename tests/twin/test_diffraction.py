@@ -123,7 +123,9 @@ def test_the_product_overstates_noise_by_less_than_two_percent(defocus, noise_pe
     assert 0 < 100 * ((wave / product) ** 2 - 1) < noise_percent
 
 
-@pytest.mark.parametrize(("defocus", "bound_um", "at_least_um"), [(0.25, 0.5, 0.3), (0.5, 1.5, 1.2), (1.5, 6.5, 6.0)])
+@pytest.mark.parametrize(
+    ("defocus", "bound_um", "at_least_um"), [(0.25, 0.5, 0.3), (0.5, 1.5, 1.2), (1.0, 4.0, 3.5), (1.5, 6.5, 6.0)]
+)
 def test_the_product_drags_phases_on_waves_of_brightness_by_so_much_more_or_less(defocus, bound_um, at_least_um):
     """A fringe of frequency f under 1 + cos(g x) / 2, through T: T(f) + T(f + g) e^(igx) / 4 + T(f - g) e^(-igx) / 4.
 

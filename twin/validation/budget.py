@@ -1,7 +1,7 @@
 """The error budget: what each effect costs, once with everything else on and once with everything else off."""
 
 import json
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, fields
 from pathlib import Path
 
@@ -19,7 +19,10 @@ FIGURES = tuple(field.name for field in fields(Cost) if field.name.endswith("_um
 MEASURED = tuple(name for name in FIGURES if "predicted" not in name)
 
 FALSE_ALARM = 0.01
-"""Largest chance that a figure which an effect leaves alone counts as changed."""
+"""Chance, about, that a figure which an effect leaves alone counts as changed."""
+
+NEGLIGIBLE_UM = 0.01
+"""Changes below it are not named."""
 
 Row = dict[str, str | float]
 
@@ -76,39 +79,64 @@ def _done(out: Path, settings: str) -> list[Cost]:
 def tables(costs: Sequence[Cost]) -> dict[str, list[Row]]:
     """The budget of each method in µm: a table of each effect alone, and one of each effect off.
 
-    The second begins with everything on and the standard deviations of its figures over the runs; its ``changes`` are
-    those of ``changed``.
+    ``changes`` names the figures that an effect changes, see ``changed``: against the twin without it in the first
+    table, against the twin with everything in the second. That begins with everything on and the standard deviations
+    of its figures over the runs.
     """
     result = {}
     for method in METHODS:
         of = {cost.case: cost for cost in costs if cost.calibration == method}
-        runs = [cost for case, cost in of.items() if case.startswith(ALL)]
-        lone = {name: alone(name) for name in EFFECTS}
+        bases = {name: of[alone(effect.within) if effect.within else NONE] for name, effect in EFFECTS.items()}
+        single, off = {name: of[alone(name)] for name in EFFECTS}, {name: of[without(name)] for name in EFFECTS}
+        added, removed = changed(single, bases), changed(off, dict.fromkeys(EFFECTS, of[ALL]))
         result[f"{method}, each effect alone"] = [
-            {"on": on} | _rounded(of[case], FIGURES) for on, case in {NONE: NONE, **lone, ALL: ALL}.items()
+            {"on": NONE} | _rounded(of[NONE], FIGURES),
+            *({"on": name} | _rounded(single[name], FIGURES) | {"changes": added[name]} for name in EFFECTS),
+            {"on": ALL} | _rounded(of[ALL], FIGURES),
         ]
-        rows: list[Row] = [{"off": NONE} | _rounded(of[ALL], MEASURED)]
-        rows.append({"off": "(scatter over runs)"} | {name: round(_scatter(runs, name), 3) for name in MEASURED})
-        for name in EFFECTS:
-            cost = of[without(name)]
-            changes = ", ".join(change.removesuffix("_um") for change in changed(cost, of[ALL], runs))
-            rows.append({"off": name} | _rounded(cost, MEASURED) | {"changes": changes})
-        result[f"{method}, each effect off"] = rows
+        runs = [cost for case, cost in of.items() if case.startswith(ALL)]
+        result[f"{method}, each effect off"] = [
+            {"off": NONE} | _rounded(of[ALL], MEASURED),
+            {"off": "(scatter over runs)"} | {name: round(_scatter(runs, name), 3) for name in MEASURED},
+            *({"off": name} | _rounded(off[name], MEASURED) | {"changes": removed[name]} for name in EFFECTS),
+        ]
     return result
 
 
-def changed(cost: Cost, everything: Cost, runs: Sequence[Cost]) -> list[str]:
-    """Names of the measured figures that differ by more than those of two ``runs`` of the same twin do.
+def changed(costs: Mapping[str, Cost], bases: Mapping[str, Cost]) -> dict[str, str]:
+    """Which measured figures each effect changes, beyond chance and by more than ``NEGLIGIBLE_UM``.
 
-    By Student's t at ``FALSE_ALARM`` for each figure, from the scatter over ``runs``, as if the two were independent.
-    They share what noise they both have, so that the rule errs on the safe side.
+    Parameters
+    ----------
+    costs, bases : mapping
+        Of each effect: with and without it, in the same run.
+
+    Returns
+    -------
+    dict
+        For each effect the figures' names without their unit, separated by commas.
     """
-    quantile = float(student.ppf(1 - FALSE_ALARM / 2, len(runs) - 1))
-    return [
-        name
-        for name in MEASURED
-        if abs(getattr(cost, name) - getattr(everything, name)) > quantile * np.sqrt(2) * _scatter(runs, name)
-    ]
+    found: dict[str, list[str]] = {effect: [] for effect in costs}
+    for name in MEASURED:
+        changes = {effect: getattr(costs[effect], name) - getattr(bases[effect], name) for effect in costs}
+        limit = max(NEGLIGIBLE_UM, margin_of_error(np.array(list(changes.values()))))
+        for effect, change in changes.items():
+            if abs(change) > limit:
+                found[effect].append(name.removesuffix("_um"))
+    return {effect: ", ".join(names) for effect, names in found.items()}
+
+
+def margin_of_error(changes: np.ndarray) -> float:
+    """How large a change of one figure can be by chance, from its changes (effects,) by all effects.
+
+    Cases of one run share their noise, so that it is not their scatter over runs that counts. As most effects leave a
+    figure alone, the middle of its changes tells chance from them: Lenth's pseudo standard error, 1.5 times the median
+    of the absolute changes without those beyond 2.5 times that of all, with Student's t of a third as many degrees of
+    freedom as there are changes (Technometrics 31, 1989). It holds at ``FALSE_ALARM`` for a single figure.
+    """
+    absolute = np.abs(changes)
+    inert = absolute[absolute <= 2.5 * 1.5 * np.median(absolute)]
+    return float(1.5 * np.median(inert) * student.ppf(1 - FALSE_ALARM / 2, len(changes) / 3))
 
 
 def _scatter(runs: Iterable[Cost], name: str) -> float:

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from ..bench import Bench
 from .claims import Claim
@@ -85,7 +85,7 @@ class BallGridAsMounted:
 
     def nearest_ball(self, points: np.ndarray) -> np.ndarray:
         """Index (...,) of the ball whose axis is nearest to points (..., 3) of the part's frame."""
-        return cKDTree(self.apexes[:, :2]).query(np.nan_to_num(points[..., :2]))[1]
+        return KDTree(self.apexes[:, :2]).query(np.nan_to_num(points[..., :2]))[1]
 
     def slope_deg(self, points: np.ndarray) -> np.ndarray:
         """Slope (...,) of the ball that points (..., 3) of the part's frame lie on; NaN where they lie on none."""
@@ -117,7 +117,7 @@ class BallGridAsMounted:
         for k in range(len(heights)):
             of = near & (ball == k)
             if of.any():
-                heights[k] = _top(*offset[of].T, points[of, 2])
+                heights[k] = _top(offset[of, 0], offset[of, 1], points[of, 2])
         return heights
 
 

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import brentq
+from scipy.optimize import root_scalar
 from scipy.special import erf
 
 from greenough.pipeline.compare import ErrorRow
@@ -73,4 +73,8 @@ def noise_quantile(sigma: np.ndarray, share: float = 0.95) -> float:
     if largest == 0:
         return 0.0
     sigma = np.maximum(sigma, 1e-9 * largest)
-    return float(brentq(lambda t: np.mean(erf(t / (np.sqrt(2) * sigma))) - share, 0.0, 10 * largest))
+
+    def excess(t: float) -> float:
+        return float(np.mean(erf(t / (np.sqrt(2) * sigma)))) - share
+
+    return float(root_scalar(excess, bracket=(0.0, 10 * largest)).root)

@@ -85,7 +85,7 @@ class BallGridAsMounted:
 
     def nearest_ball(self, points: np.ndarray) -> np.ndarray:
         """Index (...,) of the ball whose axis is nearest to points (..., 3) of the part's frame."""
-        return KDTree(self.apexes[:, :2]).query(np.nan_to_num(points[..., :2]))[1]
+        return np.asarray(KDTree(self.apexes[:, :2]).query(np.nan_to_num(points[..., :2]))[1])
 
     def slope_deg(self, points: np.ndarray) -> np.ndarray:
         """Slope (...,) of the ball that points (..., 3) of the part's frame lie on; NaN where they lie on none."""

@@ -135,11 +135,12 @@ def _top(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> float:
 def ball_claims(setup: Setup, measured: Measured) -> Iterator[Claim]:
     """All rows of one treatment that only a ball grid array has."""
     grid = BallGridAsMounted.of(setup.bench)
-    points = grid.in_part(measured.points.xyz)
-    heights = grid.apex_heights(points[measured.points.valid])
+    lit_and_seen = measured.truth.lit_and_seen
+    points = grid.in_part(measured.points.xyz[lit_and_seen])  # (pixels, 3), as all below
+    heights = grid.apex_heights(points[np.isfinite(points[:, 2])])
     yield from _apex_claims(setup, measured, heights - grid.apexes[:, 2], grid.radii)
     yield from _coplanarity_claims(setup, measured, grid.apexes, heights)
-    truth = grid.in_part(measured.truth.xyz_world)
+    truth = grid.in_part(measured.truth.xyz_world[lit_and_seen])
     slope, errors = grid.slope_deg(truth), grid.errors_above_balls(points)
     for steepest in CAPS_DEG:
         limited = steepest == CAPS_DEG[0] and has_limits(setup, measured)
@@ -221,11 +222,12 @@ def _surface_claims(
     share_limit: float | None,
     bias_limit: float | None = None,
 ) -> Iterator[Claim]:
-    """Bias, spread and coverage of the pixels (rows, cols) whose true point lies in a region, by their errors in mm."""
+    """Bias, spread and coverage of a region (pixels,) of what is lit and seen, by the errors (pixels,) there in mm."""
     suffix, filter = measured.suffix, filter_name(setup, measured.treatment)
-    lit_and_seen = region & measured.truth.lit_and_seen
-    valid = measured.points.valid
-    judged = lit_and_seen & measured.smooth & np.isfinite(errors)
+    valid, smooth, sigma = (
+        image[measured.truth.lit_and_seen] for image in (measured.points.valid, measured.smooth, measured.height_sigma)
+    )
+    judged = region & smooth & np.isfinite(errors)
     error = 1e3 * errors[judged]
     if len(error) == 0:
         return
@@ -236,10 +238,10 @@ def _surface_claims(
     yield setup.claim(
         f"{name}_p95{suffix}", measured.name, float(np.quantile(np.abs(error), 0.95)), "um", len(error),
         f"95 % of the vertical errors {what} and smooth; predicted is the noise alone", limit=p95_limit, filter=filter,
-        predicted=1e3 * noise_quantile(measured.height_sigma[judged]), expected_to_hold=True,
+        predicted=1e3 * noise_quantile(sigma[judged]), expected_to_hold=True,
     )  # fmt: skip
     yield setup.claim(
-        f"{name}_valid_share{suffix}", measured.name, float(valid[lit_and_seen].mean()), "1", int(lit_and_seen.sum()),
+        f"{name}_valid_share{suffix}", measured.name, float(valid[region].mean()), "1", int(region.sum()),
         f"points among the pixels that are lit and seen {what}", limit=share_limit, at_least=True, filter=filter,
     )  # fmt: skip
 

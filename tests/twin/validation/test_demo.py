@@ -16,9 +16,9 @@ from greenough.twin.validation.claims import Claim
 
 # Pixels of 40 um; the spots are larger in proportion, or they would not be found.
 COARSE = (
-    "camera.rows=240", "camera.cols=320", "twin.optics.camera_focal_px=5670.75", "twin.render.nodes=8",
-    "board.small_diameter_mm=0.3", "board.big_diameter_mm=0.5", "procedure.postures=8", "procedure.planes=10",
-    "procedure.plane_step_mm=0.3", "twin.render.bounces=1",
+    "twin.optics.glass=false", "camera.rows=240", "camera.cols=320", "twin.optics.camera_focal_px=5670.75",
+    "twin.render.nodes=8", "board.small_diameter_mm=0.3", "board.big_diameter_mm=0.5", "procedure.postures=8",
+    "procedure.planes=10", "procedure.plane_step_mm=0.3", "twin.render.bounces=1",
 )  # fmt: skip
 
 SPECIMENS = ("coin", "bga", "diaphragm-concave", "diaphragm-equilibrated", "diaphragm-raised")

@@ -54,6 +54,11 @@ def test_a_table_that_has_risen_makes_heights_too_small_by_as_much_as_since_the_
     np.testing.assert_allclose(error, -1e-3, atol=1e-9)
 
 
+def test_a_table_that_rises_with_the_planes_makes_the_scale_of_depth_too_small(analytic):
+    error = systematic_error(analytic().bench, READINGS, HEIGHTS, drift=Drift(0.0, 0.0, 1e-3 * READINGS))
+    np.testing.assert_allclose(error, np.tile((HEIGHTS * (1 / 1.001 - 1))[:, None], len(field_grid())), atol=1e-9)
+
+
 def test_the_bundle_is_wrong_by_its_board_s_pitch_and_the_drift_until_the_flat_posture(analytic):
     setup = analytic(method="bundle")
     longer = analytic(method="bundle", printed_centres=1.0001 * setup.calibration.board.centres())

@@ -3,6 +3,7 @@
 import json
 from dataclasses import fields, replace
 from importlib.metadata import entry_points
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from greenough.twin.validation.cost import METHODS, Cost
 from greenough.twin.validation.effects import EFFECTS, REPEATS, cases, without
 
 FIGURES = [field.name for field in fields(Cost)][2:]
+PAGE = Path(__file__).parents[3] / "docs" / "error-budget.md"
 STEPS = 16 + 30 + 1 + 5  # postures, planes, the blank side at zero, heights
 
 
@@ -114,3 +116,14 @@ def test_tables_hold_what_was_measured():
     assert table[0]["noise_um"] == 0
     assert table[1]["noise_um"] == pytest.approx(np.std(range(REPEATS), ddof=1), abs=5e-4)
     assert set(MEASURED) <= set(table[0])
+
+
+def test_the_page_has_the_tables_of_the_command():
+    """A line for each effect in each table, and the columns that are printed."""
+    costs = [cost(case.name, method) for case in cases() for method in METHODS]
+    printed = PAGE.read_text(encoding="utf-8").split("```")[3].split("\n")
+    for title, rows in tables(costs).items():
+        table = printed[printed.index(f"{title}:") + 1 :][: len(rows) + 1]
+        assert table[0].split() == list(dict.fromkeys(name for row in rows for name in row))
+        for line, row in zip(table[1:], rows, strict=True):
+            assert line.strip().startswith(str(next(iter(row.values()))))

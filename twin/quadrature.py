@@ -20,6 +20,12 @@ def nodes(count: int, dimensions: int) -> np.ndarray:
     return np.clip(np.concatenate([half, 1 - half]), 1e-6, 1 - 1e-6).astype(np.float32)
 
 
-def designed_nodes() -> np.ndarray:
-    """The 16 nodes for plain surfaces lit directly, (16, 6) float32, see ``node_design``."""
-    return np.loadtxt(Path(__file__).with_name("nodes_plain.csv"), delimiter=",", dtype=np.float32)
+def nodes_of_direct_light(count: int) -> np.ndarray:
+    """``count`` nodes of pixel and pupils, (count, 6) float32: those of ``node_design`` where it has so many.
+
+    Raises ValueError as ``nodes`` does.
+    """
+    designed = Path(__file__).parent / "nodes" / f"{count}.csv"
+    if not designed.exists():
+        return nodes(count, 6)
+    return np.loadtxt(designed, delimiter=",", dtype=np.float32)

@@ -13,10 +13,12 @@ from . import plugins  # noqa: F401  registers the names used below
 from .glass.as_built import AssembledPath, Tolerances, assemble
 from .glass.placed import errors_to_json
 from .glass.prescription import load_prescription
-from .quadrature import designed_nodes
+from .quadrature import nodes_of_direct_light
 from .randomness import instrument_rng
 from .renderer import mi
 from .settings import AssemblySettings, OpticsSettings, RenderSettings, TwinSettings
+
+NODES_FLAT = 16  # enough where nothing but the fringes changes within a pixel's blur
 
 
 def axis_frame(angle: float, distance: float) -> np.ndarray:
@@ -132,15 +134,18 @@ def specimen_dict(parts: Sequence[Part], render: RenderSettings) -> dict[str, mi
 
 def integrator_dict(render: RenderSettings, flat: bool) -> dict[str, Any]:
     """The one-pass integrator for a specimen with or without relief."""
-    integrator = {
-        "type": "fringe",
-        "nodes": render.nodes,
-        "nodes_indirect": render.nodes_indirect,
-        "smoothing": render.smoothing_px,
-        "bounces": render.bounces,
-    }
-    plain = {"node_table": mi.TensorXf(designed_nodes()), "nodes_edges": render.nodes_edges, "bounces": 1}
-    return integrator | plain if flat else integrator
+    common = {"type": "fringe", "nodes_indirect": render.nodes_indirect, "smoothing": render.smoothing_px}
+    if flat:
+        return common | {
+            "node_table": _table(NODES_FLAT),
+            "edge_table": _table(render.nodes_edges),
+            "bounces": 1,
+        }
+    return common | {"node_table": _table(render.nodes), "bounces": render.bounces}
+
+
+def _table(count: int) -> mi.TensorXf:
+    return mi.TensorXf(nodes_of_direct_light(count))
 
 
 def _mesh(name: str, part: Part, diffuse_only: bool) -> mi.Mesh:

@@ -111,7 +111,7 @@ class BoardSettings(BaseModel):
 class RenderSettings(BaseModel):
     """Light paths per pixel: of specimens with relief, of the edges on boards, and for interreflections.
 
-    Planes and boards away from edges are rendered with the 16 designed nodes of ``greenough.twin.node_design``.
+    Planes, and boards away from edges, have 16. Nodes of 16, 64 and 128 are designed, see ``twin.node_design``.
     """
 
     model_config = _STRICT

@@ -50,7 +50,7 @@ def rendered(rig: gt.TwinRig, patterns: np.ndarray, crop: Crop, seed: int = 0, *
     film = {"crop_offset_x": column, "crop_offset_y": row, "crop_width": columns, "crop_height": rows}
     scene["sensor"] = scene["sensor"] | {"film": scene["sensor"]["film"] | film}
     if "nodes" in integrator:
-        for name in ("node_table", "nodes_edges"):
+        for name in ("node_table", "edge_table"):
             scene["integrator"].pop(name, None)
     scene["integrator"] = scene["integrator"] | integrator
     loaded = mi.load_dict(scene)

@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from greenough.twin.quadrature import designed_nodes, nodes
+from greenough.twin.node_design import COUNTS
+from greenough.twin.quadrature import nodes, nodes_of_direct_light
 
 
 @settings(deadline=None, max_examples=30)
@@ -54,9 +55,14 @@ def test_other_counts_are_refused(count):
         nodes(count, 2)
 
 
-def test_the_designed_nodes_are_sixteen_with_their_mirror_images():
-    u = designed_nodes()
-    assert u.shape == (16, 6)
+def test_other_counts_of_direct_light_are_low_discrepancy_nodes():
+    np.testing.assert_array_equal(nodes_of_direct_light(32), nodes(32, 6))
+
+
+@pytest.mark.parametrize("count", COUNTS)
+def test_designed_nodes_lie_in_the_unit_cube_with_their_mirror_images(count):
+    u = nodes_of_direct_light(count)
+    assert u.shape == (count, 6)
     assert u.dtype == np.float32
     assert 0 <= u.min() < u.max() <= 1
     for node in u:

@@ -10,9 +10,9 @@
  * - node_table: tensor (nodes, 6)
      The nodes of the direct light themselves, in the unit cube: pixel, sensor's pupil, projector's pupil. It replaces
      the low-discrepancy ones unless ``spp`` asks for another number.
- * - nodes_edges: integer
-     Light paths per pixel, a power of two, where a pixel's blur may hold more than one shape (default: as many as
-     elsewhere; ``spp`` too sets them alike).
+ * - edge_table: tensor (nodes, 6)
+     Other nodes of the direct light for pixels whose blur may hold more than one shape (default: those of all pixels,
+     as ``spp`` has it, too).
  * - bounces: integer
      Surface interactions of a path: 1 is direct light only, 2 adds one interreflection (default: 2).
  * - guided: boolean
@@ -47,8 +47,7 @@ from .lens_sensor import BORDER, LensSensor
 from .smoothing import smoothed
 from .survey import survey
 
-DIMENSIONS_CAMERA = 4  # pixel, camera pupil
-DIMENSIONS_LIGHT = 2  # pupil of an emitter
+DIMENSIONS_DIRECT = 6  # pixel, camera pupil, pupil of an emitter: two each
 DIMENSIONS_BOUNCE = 3  # lobe and direction
 DIMENSIONS_GUIDE = 2  # direction
 FAST_MULTIPLE = 16  # of pixels: lengths with more factors of five take half as long again to transform
@@ -59,11 +58,12 @@ class FringeIntegrator(mi.SamplingIntegrator):
 
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
-        self.node_table = np.array(props["node_table"]) if "node_table" in props else None
+        self.node_table, self.edge_table = (
+            np.array(props[name]) if name in props else None for name in ("node_table", "edge_table")
+        )
         self.nodes = int(props.get("nodes", 16))
         if self.node_table is not None:
             self.nodes = len(self.node_table)
-        self.nodes_edges = int(props.get("nodes_edges", self.nodes))
         self.nodes_indirect = int(props.get("nodes_indirect", self.nodes))
         self.bounces = int(props.get("bounces", 2))
         self.guided = bool(props.get("guided", True))
@@ -107,12 +107,15 @@ class FringeIntegrator(mi.SamplingIntegrator):
     def _direct_light(self, scene: mi.Scene, sensor: mi.Sensor, seed: mi.UInt32 | int, spp: int) -> list[mi.Float]:
         seen = survey(scene, _size(sensor), partial(_camera_ray, sensor))
         channels = [dr.zeros(mi.Float, dr.prod(_size(sensor))) for _ in range(_channels(scene))]
-        parts = [(seen.lit, spp or self.nodes)]
-        if not spp and self.nodes_edges != self.nodes:
-            parts.append((seen.edges, self.nodes_edges))
-        for pixel, count in parts:
+        count, table = spp or self.nodes, self.node_table
+        if table is None or count != len(table):
+            table = nodes(count, DIMENSIONS_DIRECT)
+        parts = [(seen.lit, table)]
+        if self.edge_table is not None and not spp:
+            parts.append((seen.edges, self.edge_table))
+        for pixel, table in parts:
             if dr.width(pixel):
-                light = self._accumulate(scene, sensor, pixel, seed, count, False, partial(self._visible, scene))
+                light = self._accumulate(scene, sensor, pixel, seed, table, False, partial(self._visible, scene))
                 for channel, value in zip(channels, light, strict=True):
                     dr.scatter(channel, value, pixel)
                 dr.eval(channels)
@@ -126,20 +129,18 @@ class FringeIntegrator(mi.SamplingIntegrator):
         with dr.suspend_grad():
             guide = self._guide(scene, sensor) if self.guided else None
             pixel = dr.arange(mi.UInt32, dr.prod(_size(sensor)))
-            channels = self._accumulate(scene, sensor, pixel, seed, count, True, partial(self._indirect, scene, guide))
+            table = nodes(count, DIMENSIONS_DIRECT + DIMENSIONS_BOUNCE * (self.bounces - 1) + DIMENSIONS_GUIDE)
+            channels = self._accumulate(scene, sensor, pixel, seed, table, True, partial(self._indirect, scene, guide))
             if self.smoothing:
                 channels = self._smoothed(channels, scene, sensor)
             dr.eval(channels)
         return channels
 
     @dr.syntax
-    def _accumulate(self, scene, sensor, pixel, seed, count, indirect, trace):
-        """Mean of ``trace`` over ``count`` nodes in each ``pixel``, N arrays."""
-        dimensions = DIMENSIONS_CAMERA + DIMENSIONS_LIGHT
-        if dr.hint(indirect, mode="scalar"):
-            dimensions += DIMENSIONS_BOUNCE * (self.bounces - 1) + DIMENSIONS_GUIDE
-        designed = self.node_table is not None and count == self.nodes and not indirect
-        table = mi.Float((self.node_table if designed else nodes(count, dimensions)).ravel().astype(np.float32))
+    def _accumulate(self, scene, sensor, pixel, seed, table, indirect, trace):
+        """Mean of ``trace`` over the nodes of ``table``, (nodes, dimensions), in each ``pixel``: N arrays."""
+        count, dimensions = table.shape
+        table = mi.Float(table.ravel().astype(np.float32))
         if dr.hint(indirect or self.shift_per_pixel, mode="scalar"):
             # Hashed: streams that are numbered one by one are correlated between neighbouring pixels.
             key = (2 * mi.UInt32(seed) if self.shift_per_pixel else mi.UInt32(0)) + int(indirect)

@@ -9,6 +9,7 @@ from greenough.pipeline.calibration import Calibration, Method
 from greenough.pipeline.unfinished import Unfinished
 
 from ..rig import open as open_twin
+from . import coarse_stage
 from .claims import Claim, write_claims
 from .noise import measure_plane, noise_claims
 from .pitch import pitch_claims
@@ -32,7 +33,8 @@ T = TypeVar("T")
 def steps(rig_name: str, overrides: Sequence[str]) -> int:
     """How many equal steps of progress a demo takes, roughly a second each."""
     rig, _ = open_twin(rig_name, overrides)
-    return rig.procedure.postures + rig.procedure.planes + 1 + PLANES + 4 * len(SPECIMENS) + 6
+    own = rig.procedure.postures + rig.procedure.planes + 1 + PLANES + 4 * len(SPECIMENS) + 6
+    return own + coarse_stage.steps(rig)
 
 
 def demonstrate(rig_name: str, overrides: Sequence[str], folder: Path, advance: Advance) -> list[Claim]:
@@ -72,6 +74,8 @@ def demonstrate(rig_name: str, overrides: Sequence[str], folder: Path, advance: 
             shown = (found for setup, found in measured if setup is setups[0] and found.treatment in (RAW, DECONVOLVED))
             maps += map(specimen_maps, shown)
             advance(4)
+    paper = next(setup.calibration for setup in setups if setup.believes_stage)
+    claims += coarse_stage.coarse_stage_claims(rig_name, overrides, paper, advance)
     facts = {"rig": rig_name, "settings": list(overrides)}
     write_claims(folder / "claims.json", claims, facts)
     write_report(folder / "report.html", claims, setups[0], planes[0], maps, facts)

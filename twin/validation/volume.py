@@ -35,6 +35,8 @@ class MeasuredPlane:
     Parameters
     ----------
     tilted : bool
+    stage_position : float
+        What the stage read.
     world_from_plane : (4, 4)
         How it really lay.
     errors : (points,)
@@ -43,12 +45,13 @@ class MeasuredPlane:
         x, y, z and vertical error of unfiltered points, and the lowest and highest height that their pixels are
         calibrated for: means over blocks of pixels.
     span : (2, 2)
-        Lowest and highest x and y that are measured along the middle of the field.
+        Lowest and highest x and y that are measured along the middle of the field; NaN where nothing is.
     noise, filtered_noise : float
         Predicted of one exposure.
     """
 
     tilted: bool
+    stage_position: float
     world_from_plane: np.ndarray
     errors: np.ndarray
     blocks: np.ndarray
@@ -75,7 +78,10 @@ class MeasuredPlane:
 
 
 def measure_volume(setups: Sequence[Setup], advance: Callable[[float], None]) -> list[list[MeasuredPlane]]:
-    """Capture planes all over the volume, and evaluate each by every calibration: a list for each."""
+    """Capture planes all over the volume, and evaluate each by every calibration: a list for each.
+
+    A plane that lies wholly beyond the heights that a calibration knows is left out of its list.
+    """
     found: list[list[MeasuredPlane]] = [[] for _ in setups]
     tilted = (Placement("plane", pose_mm_deg=(0.0, 0.0, 0.0, *tilt, 0.0)) for tilt in TILTS_DEG)
     for placement, heights in ((Placement("plane"), VOLUME_HEIGHTS_MM), *((held, (0.0,)) for held in tilted)):
@@ -85,7 +91,8 @@ def measure_volume(setups: Sequence[Setup], advance: Callable[[float], None]) ->
             phase_map = setups[0].capture()
             smoother = filter_phasors(phase_map, setups[0].filter_fwhm_px)
             for setup, planes in zip(setups, found, strict=True):
-                planes.append(_measured(setup, placement, phase_map, smoother))
+                if setup.points(smoother).valid.any():
+                    planes.append(_measured(setup, placement, phase_map, smoother))
             advance(1)
     return found
 
@@ -94,6 +101,7 @@ def _measured(setup: Setup, placement: Placement, phase_map: PhaseMap, smoother:
     points, unfiltered = setup.points(smoother), setup.points(phase_map)
     return MeasuredPlane(
         tilted=any(placement.pose_mm_deg),
+        stage_position=setup.rig.stage.position_mm,
         world_from_plane=setup.bench.world_from_part,
         errors=vertical_error(setup, points)[points.valid],
         blocks=_block_means(unfiltered, vertical_error(setup, unfiltered), setup.calibration.phase_height.z_range),
@@ -118,9 +126,9 @@ def depth_claims(setup: Setup, planes: Sequence[MeasuredPlane]) -> Iterator[Clai
     )
     yield _percentile_claim(setup, tilted, "depth_tilted_p95", f"of {len(tilted)} tilted planes", paper=None)
     yield from _systematic_claims(setup, planes)
-    for plane, stage_height in zip(flat, VOLUME_HEIGHTS_MM, strict=True):
+    for plane in flat:
         yield setup.claim(
-            f"depth_bias_at_{stage_height:+.1f}mm", "plane", 1e3 * float(np.mean(plane.errors)), "um",
+            f"depth_bias_at_{plane.stage_position:+.1f}mm", "plane", 1e3 * float(np.mean(plane.errors)), "um",
             len(plane.errors), "mean vertical error where the stage reads so", filter=setup.filter_name,
             **_prediction(np.mean, _foretold(setup, [plane])),
         )  # fmt: skip
@@ -242,9 +250,11 @@ def _block_means(points: PointMap, error: np.ndarray, z_range: np.ndarray) -> np
 
 
 def _span(points: PointMap) -> np.ndarray:
-    """Lowest and highest x and y that are measured along the middle of the field, (2, 2) mm."""
+    """Lowest and highest x and y that are measured along the middle of the field, (2, 2) mm; NaN if nothing is."""
     xyz = points.xyz[points.valid]
     along_x, along_y = xyz[np.abs(xyz[:, 1]) < 0.5, 0], xyz[np.abs(xyz[:, 0]) < 0.5, 1]
+    if not (len(along_x) and len(along_y)):
+        return np.full((2, 2), np.nan)
     return np.array([[along_x.min(), along_y.min()], [along_x.max(), along_y.max()]])
 
 

@@ -1,15 +1,19 @@
 """Claims about the volume, on planes whose errors are known."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from greenough.pipeline.reconstruct import PointMap
+from greenough.twin.validation import volume as volume_module
 from greenough.twin.validation.mechanics import calibration_noise_share
 from greenough.twin.validation.volume import (
     VOLUME_HEIGHTS_MM,
     MeasuredPlane,
     _block_means,
+    measure_volume,
     volume_claims,
     without_motion,
 )
@@ -33,6 +37,7 @@ def plane(world_from_plane: np.ndarray, error=lambda xyz: np.zeros(xyz.shape[:2]
     errors = error(xyz) + np.random.default_rng(seed).normal(0, 1.6e-3, z.shape)
     return MeasuredPlane(
         tilted=bool(abs(normal[2]) < 0.999),
+        stage_position=float(origin[2]),
         world_from_plane=world_from_plane,
         errors=errors.ravel(),
         blocks=_block_means(
@@ -51,6 +56,27 @@ def volume(error) -> list[MeasuredPlane]:
 
 def rows_of(setup, planes: list[MeasuredPlane]) -> dict:
     return {row.claim: row for row in volume_claims(setup, planes)}
+
+
+def test_planes_beyond_the_calibrated_heights_are_left_out_and_named_by_their_own_stage_position(monkeypatch, analytic):
+    stage = SimpleNamespace(position_mm=0.0)
+    stage.move_to_mm = lambda position: setattr(stage, "position_mm", position)
+    double = SimpleNamespace(
+        rig=SimpleNamespace(stage=stage),
+        filter_fwhm_px=1.0,
+        place=lambda placement, position=0.0: stage.move_to_mm(position),
+        capture=lambda: stage.position_mm,
+        points=lambda height: SimpleNamespace(valid=np.array([abs(height) < 1.45])),
+    )
+    monkeypatch.setattr(volume_module, "filter_phasors", lambda phase_map, fwhm_px: phase_map)
+    monkeypatch.setattr(volume_module, "_measured", lambda setup, placement, *maps: (placement, stage.position_mm))
+    (found,) = measure_volume([double], lambda steps: None)
+    flat = [height for placement, height in found if not any(placement.pose_mm_deg)]
+    assert flat == [height for height in VOLUME_HEIGHTS_MM if abs(height) < 1.45]
+    planes = [plane(motion(height)) for height in flat] + [plane(motion(0.0, tilt)) for tilt in TILTS]
+    rows = rows_of(analytic(), planes)
+    assert {name for name in rows if name.startswith("depth_bias_at")} == {f"depth_bias_at_{z:+.1f}mm" for z in flat}
+    assert not rows["z_range"].holds
 
 
 def test_places_and_slope_are_those_of_the_true_plane():

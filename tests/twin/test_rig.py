@@ -15,6 +15,7 @@ from greenough.instrument import open_rig
 from greenough.instrument.contract import Placement
 from greenough.instrument.errors import InputError
 from greenough.instrument.rigfile import builtin_rigs
+from greenough.twin.plugins import FringeIntegrator
 from greenough.twin.rig import BLANKING_US, TwinRig, fringe_patterns
 from greenough.twin.settings import TwinSettings
 from greenough.twin.stage import StageErrors
@@ -205,6 +206,28 @@ def test_opening_by_name_gives_the_same_rig_without_the_bench(small):
         either.operator.place(Placement("plane"))
     patterns = fringe_patterns(ours)[:2]
     assert_array_equal(rig.capture(patterns).stack, ours.capture(patterns).stack)
+
+
+def test_pictures_that_set_the_exposure_are_rendered_once_and_fringes_anew(small, monkeypatch):
+    """A uniform pattern looks the same wherever the specimen's place against it has drifted; fringes do not."""
+    drifting = ("twin.stability.table_drift_um=5", "twin.stability.path_drift_um=5")
+    rig, _ = small(*drifting)
+    rig.operator.place(Placement("plane"))
+    rendered = []
+    original = FringeIntegrator.render_channels
+
+    def counted(self, *arguments, **named):
+        rendered.append(1)
+        return original(self, *arguments, **named)
+
+    monkeypatch.setattr(FringeIntegrator, "render_channels", counted)
+    white, fringes = np.full((1, *rig.projector.shape), 255, np.uint8), fringe_patterns(rig)[-1:]
+    for patterns, count in ((white, 1), (fringes, 3)):
+        rendered.clear()
+        for exposure_us in (20_000, 40_000, 80_000):
+            rig.camera.exposure_us = exposure_us
+            rig.capture(patterns)
+        assert len(rendered) == count
 
 
 @pytest.mark.parametrize("change", ["patterns", "height", "part"])

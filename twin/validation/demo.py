@@ -10,12 +10,13 @@ from greenough.pipeline.unfinished import Unfinished
 
 from ..rig import open as open_twin
 from . import coarse_stage
+from .balls import ball_claims
 from .claims import Claim, write_claims
 from .noise import measure_plane, noise_claims
 from .pitch import pitch_claims
 from .report import SpecimenMaps, specimen_maps, write_report
 from .setup import Setup
-from .specimens import DECONVOLVED, RAW, SPECIMENS, ball_claims, measure_specimen, specimen_claims
+from .specimens import DECONVOLVED, RAW, SPECIMENS, measure_specimen, specimen_claims
 from .step import step_claims
 from .volume import PLANES, measure_volume, volume_claims
 

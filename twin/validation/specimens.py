@@ -15,7 +15,6 @@ from greenough.pipeline.reconstruct import PointMap
 from greenough.scenes.parts import merge
 
 from ..bench import Truth
-from .balls import ball_claims as ball_claims
 from .claims import Claim
 from .evaluation import smooth
 from .measured import (

@@ -181,7 +181,7 @@ def measure(
         Exposures to take and merge, as multiples of the automatic one: for shiny parts. Those beyond the camera's
         limits are left out, with a warning.
     filter_fwhm_px : float, optional
-        Width of a Gaussian on the phasors; nothing is filtered unless it is given.
+        Width of the Gaussian under which planes are fitted to the phasors; nothing is filtered unless it is given.
     deconvolve : bool
         Free the phase from the drag towards brighter neighbours: for metal and solder.
 

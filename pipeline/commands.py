@@ -66,7 +66,7 @@ def measure(
         bool, typer.Option("--bracket", help="Merge the exposures of procedure.brackets, for shiny parts.")
     ] = False,
     filter_fwhm_px: Annotated[
-        float | None, typer.Option("--filter-fwhm-px", help="Gaussian on the phasors. [default: no filter]")
+        float | None, typer.Option("--filter-fwhm-px", help="Plane under a Gaussian, on the phasors. [default: no filter]")
     ] = None,
     deconvolve: Annotated[
         bool, typer.Option("--deconvolve", help="Undo the drag of blur towards brighter neighbours: metal, solder.")
@@ -97,7 +97,7 @@ def measure(
         "calibration_run": loaded.run,
         "brackets": " ".join(f"{ratio:g}" for ratio in brackets),
         "deconvolved": "yes" if deconvolve else "no",
-        "filter": "none" if filter_fwhm_px is None else f"gaussian on phasors, fwhm {filter_fwhm_px:g} px",
+        "filter": "none" if filter_fwhm_px is None else f"plane under a gaussian on phasors, fwhm {filter_fwhm_px:g} px",
     }
     cloud = PointCloud.from_point_map(points, facts=facts)
     if len(cloud.xyz) == 0:

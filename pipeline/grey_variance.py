@@ -53,7 +53,9 @@ def estimate_variance(
     """Variance of a grey value from the frames alone.
 
     The N frames of a set have three unknowns per pixel, and what their fit leaves is noise, or harmonics if there are
-    any, which errs on the safe side. The residuals being P I with P the projection onto all else, the m-th has the
+    any. These raise ``per_dn``, mostly, as they grow with the light: the phases' sigma comes out too large, and weights
+    of frames that are made from this variance become more unequal than the noise deserves, so that more of a second
+    harmonic leaks into the phase. The residuals being P I with P the projection onto all else, the m-th has the
     variance Σ_n P_mn² (a + b I_n): a line in the light, as a photon transfer curve is. It is fitted to a regular sample
     of unsaturated pixels with both coefficients not negative.
 

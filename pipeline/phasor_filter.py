@@ -1,9 +1,13 @@
-"""The one filter there is: a Gaussian on the fringes' phasors, applied only when asked for.
+"""The one filter there is: a plane fitted to the fringes' phasors under a Gaussian, applied only when asked for.
 
 A plain mean of the phasors B exp(iΦ) under a Gaussian would draw the phase towards the brighter side where brightness
 and phase both change, as the lens's blur does. So the unit phasors exp(iΦ) have the weights of their information,
 1 / sigma², and a plane is fitted to them around each pixel, whose value there is taken: the phase of a plane stays what
 it is under any brightness, and where brightness is even this is the plain mean under the Gaussian.
+
+At borders and holes the neighbours lie on one side, and the plane is extrapolated to the pixel from there. That keeps
+the phase of a plane, which a mean would draw inwards, but is noisier than in the middle; ``sigma`` says by how much.
+The phase of a curved surface is continued along its tangent.
 """
 
 from dataclasses import replace

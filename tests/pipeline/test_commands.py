@@ -194,7 +194,7 @@ def test_measure_hands_over_what_was_asked_and_the_cloud_says_so(measured):
     assert asked["overrides"] == ["a.b=1"]
     assert asked["run"] == cloud.facts["run"] == "friday"
     assert cloud.facts["brackets"] == "4 1"
-    assert cloud.facts["filter"] == "gaussian on phasors, fwhm 2 px"
+    assert cloud.facts["filter"] == "plane under a gaussian on phasors, fwhm 2 px"
 
 
 def test_two_samples_are_measured_in_runs_of_their_own(measured):

@@ -9,7 +9,6 @@ from greenough.pipeline.acquisition import plane_heights
 from greenough.pipeline.calibration import Calibration
 from greenough.pipeline.decode import PhaseMap, decode
 from greenough.pipeline.exposure import auto_exposure
-from greenough.pipeline.phasor_filter import filter_phasors
 from greenough.pipeline.reconstruct import PointMap, reconstruct
 
 from ..bench import Bench
@@ -46,7 +45,7 @@ class Setup:
     @property
     def filter_name(self) -> str:
         """How a filtered row names it."""
-        return f"gaussian on phasors, fwhm {self.filter_fwhm_px:.2f} px"
+        return f"plane under a gaussian on phasors, fwhm {self.filter_fwhm_px:.2f} px"
 
     @property
     def believes_stage(self) -> bool:
@@ -73,10 +72,6 @@ class Setup:
     def points(self, phase_map: PhaseMap) -> PointMap:
         """Points without any filter."""
         return reconstruct(phase_map, self.calibration)
-
-    def filtered_points(self, phase_map: PhaseMap) -> PointMap:
-        """Points after the one filter."""
-        return reconstruct(filter_phasors(phase_map, self.filter_fwhm_px), self.calibration)
 
     def height_sigma(self, phase_map: PhaseMap) -> np.ndarray:
         """Predicted standard deviation of z from this exposure's noise, (rows, cols) mm: |dz/dphase| times sigma."""

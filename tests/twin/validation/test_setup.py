@@ -55,3 +55,8 @@ def test_a_limit_may_be_a_least_value(analytic, predicted, expected):
 def test_a_row_without_a_limit_only_reports(analytic):
     claim = analytic().claim("bias", "coin", 123.0, "um", 10, "", predicted=1.0)
     assert (claim.limit, claim.holds, claim.expected_to_hold, claim.as_expected) == (None, None, None, True)
+
+
+def test_a_filtered_row_names_the_fit_that_filters(analytic):
+    width = analytic().filter_fwhm_px
+    assert analytic().filter_name == f"plane under a gaussian on phasors, fwhm {width:.2f} px"

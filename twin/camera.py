@@ -81,7 +81,7 @@ def displaced(image: mi.Float, shape: tuple[int, int], shift: np.ndarray) -> mi.
 
     def slope(place: mi.UInt32, length: int, stride: int) -> mi.Float:
         def difference(most: int) -> mi.Float:
-            # The same on both sides, so that near the rim the order falls but the place stays.
+            # The same on both sides, so that near the rim the order falls but the place stays, the rim itself excepted.
             reach = dr.minimum(most, dr.maximum(dr.minimum(place, length - 1 - place), 1))
             before, after = dr.maximum(place, reach) - reach, dr.minimum(place + reach, length - 1)
             high = dr.gather(mi.Float, image, pixel + (after - place) * stride)

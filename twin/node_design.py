@@ -3,26 +3,25 @@
 On a smooth surface all that matters is the transfer function of pixel and pupils at the fringes' low frequencies, and
 that place in the pixel and in the pupils are not correlated: pencils that a rim has cut, or that are brighter on one
 side, would shift the picture. Low-discrepancy nodes err there, few as they are; least squares moves them until both
-are right. What is left of their even spread serves edges and shadows.
+are nearly right. What is left of their even spread serves edges and shadows.
 
 ``python -m greenough.twin.node_design`` writes ``nodes/16.csv`` and so on, which the package reads.
 """
 
 from itertools import combinations_with_replacement
 from math import gamma, prod
-from pathlib import Path
 
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.stats import qmc
 
 from .diffraction import geometric_transfer
+from .quadrature import DESIGNED
 
 COUNTS = (16, 64, 128)
 DIMENSIONS = 6  # pixel, camera pupil, projector pupil: two each
-FOLDER = Path(__file__).with_name("nodes")
 
-# The default optics, mm at the specimen; other ones of similar proportions are served nearly as well.
+# The default optics, mm at the specimen.
 NA, PIXEL = 0.015, 0.0099
 FRINGE = 1 / 0.214  # 1/mm, the densest fringe
 DEFOCUS = (0.0, 0.4, 0.75, 1.1, 1.5)
@@ -115,6 +114,7 @@ def design(count: int) -> np.ndarray:
         moved = STAY * (half - start).ravel() / np.sqrt(count)
         return np.concatenate([blur_error(half, at), weights * moments(half), moved])
 
+    # What more steps would gain is less than what the nodes do not fit anyway.
     fit = least_squares(error, start.ravel(), bounds=(1e-3, 1 - 1e-3), max_nfev=30)
     half = np.round(fit.x.reshape(-1, DIMENSIONS), 6)
     return np.concatenate([half, 1 - half])
@@ -123,4 +123,4 @@ def design(count: int) -> np.ndarray:
 if __name__ == "__main__":
     for count in COUNTS:
         header = "pixel u v, camera pupil u v, projector pupil u v"
-        np.savetxt(FOLDER / f"{count}.csv", design(count), fmt="%.6f", delimiter=",", header=header)
+        np.savetxt(DESIGNED / f"{count}.csv", design(count), fmt="%.6f", delimiter=",", header=header)

@@ -5,12 +5,15 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from greenough.instrument.errors import InputError
+
 from .randomness import instrument_rng
 from .stage import rigid
 
 TILT_DEG = (8.0, 20.0)
 DEPTH_MM = 1.4  # no spot of a tilted board leaves this range of heights: the depth of field
 SHIFT_MM = (1.0, 0.6)
+REACH_MM = (6.5, 5.0, 1.6)  # of the measuring volume from its middle
 GOLDEN = np.pi * (3 - np.sqrt(5))
 
 
@@ -42,7 +45,17 @@ def flat(seed: int, what: str) -> np.ndarray:
 
 
 def posed(pose_mm_deg: Sequence[float]) -> np.ndarray:
-    """Motion (4, 4) of a part that is put as `greenough.instrument.contract.Placement` says."""
+    """Motion (4, 4) of a part that is put as `greenough.instrument.contract.Placement` says.
+
+    Raises InputError for a pose that is not six finite numbers, or shifts the part out of the measuring volume.
+    """
+    if len(pose_mm_deg) != 6 or not np.isfinite(pose_mm_deg).all():
+        raise InputError(f"the pose {tuple(pose_mm_deg)} must be six finite numbers: x, y, z in mm and three degrees.")
+    if (np.abs(pose_mm_deg[:3]) > REACH_MM).any():
+        reach = " x ".join(f"{r:g}" for r in REACH_MM)
+        raise InputError(
+            f"the pose {tuple(pose_mm_deg)} shifts the part out of the measuring volume; stay within ±({reach}) mm."
+        )
     return rigid(Rotation.from_euler("xyz", pose_mm_deg[3:], degrees=True), list(pose_mm_deg[:3]))
 
 

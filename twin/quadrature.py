@@ -5,6 +5,9 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import qmc
 
+DESIGNED = Path(__file__).with_name("nodes")
+"""Tables of designed nodes, each named after how many it has; ``node_design`` writes them."""
+
 
 def nodes(count: int, dimensions: int) -> np.ndarray:
     """``count`` nodes in the unit cube, (count, dimensions) float32.
@@ -25,7 +28,7 @@ def nodes_of_direct_light(count: int) -> np.ndarray:
 
     Raises ValueError as ``nodes`` does.
     """
-    designed = Path(__file__).parent / "nodes" / f"{count}.csv"
+    designed = DESIGNED / f"{count}.csv"
     if not designed.exists():
         return nodes(count, 6)
     return np.loadtxt(designed, delimiter=",", dtype=np.float32)

@@ -215,10 +215,13 @@ class Renderer:
         self._kept: tuple[object, list[mi.Float]] | None = None
 
     def radiance(self, patterns: np.ndarray, shift: np.ndarray | None = None) -> list[mi.Float]:
-        """Radiance of each pattern, N arrays of (rows * cols,), the patterns moved by ``shift`` (N, 2)."""
+        """Radiance of each pattern, N arrays of (rows * cols,), the patterns moved by ``shift`` (N, 2).
+
+        Patterns of one grey value are not moved: only the rim of the light would.
+        """
         check_patterns(patterns, self._projector_shape)
         shift = np.zeros((len(patterns), 2)) if shift is None else shift
-        # Of a pattern of one grey value only the rim moves: images that set the exposure need not be rendered again.
+        # Images that set the exposure need not be rendered again and again.
         uniform = patterns.min(axis=(1, 2)) == patterns.max(axis=(1, 2))
         shift = np.where(uniform[:, None], 0.0, shift)
         place = (self._workbench.mounted, self._workbench.position)

@@ -134,14 +134,16 @@ def specimen_dict(parts: Sequence[Part], render: RenderSettings) -> dict[str, mi
 
 def integrator_dict(render: RenderSettings, flat: bool) -> dict[str, Any]:
     """The one-pass integrator for a specimen with or without relief."""
-    common = {"type": "fringe", "nodes_indirect": render.nodes_indirect, "smoothing": render.smoothing_px}
-    if flat:
-        return common | {
-            "node_table": _table(NODES_FLAT),
-            "edge_table": _table(render.nodes_edges),
-            "bounces": 1,
-        }
-    return common | {"node_table": _table(render.nodes), "bounces": render.bounces}
+    if flat:  # it cannot light itself
+        tables = {"node_table": _table(NODES_FLAT), "edge_table": _table(render.nodes_edges)}
+        return {"type": "fringe", "bounces": 1} | tables
+    return {
+        "type": "fringe",
+        "node_table": _table(render.nodes),
+        "nodes_indirect": render.nodes_indirect,
+        "smoothing": render.smoothing_px,
+        "bounces": render.bounces,
+    }
 
 
 def _table(count: int) -> mi.TensorXf:

@@ -1,8 +1,8 @@
-"""The ``[twin]`` section of a rig file: every physical effect, its default size, and how to switch it off (size 0)."""
+"""The ``[twin]`` section of a rig file: every physical effect and its default; ``docs/physics.md`` has what they do."""
 
-from typing import Annotated
+from typing import Annotated, Self
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from greenough.instrument.errors import InputError
 from greenough.instrument.rigfile import RigFile, describe_validation_error
@@ -40,6 +40,13 @@ class OpticsSettings(BaseModel):
     mirror_fill: Annotated[float, Field(gt=0.1, le=1)] = 0.92
     off_state: Annotated[float, Field(ge=0, lt=0.5)] = 0.001
     gamma: Annotated[float, Field(ge=0.2, le=5)] = 1.0  # of the mirrors' light over the grey values; 1 is linear
+
+    @model_validator(mode="after")
+    def _glass_decides(self) -> Self:
+        for name in ("na", "pupil_distance_mm"):
+            if self.glass and getattr(self, name) != type(self).model_fields[name].default:
+                raise ValueError(f"{name} is that of the glass; set twin.optics.glass=false to choose it")
+        return self
 
 
 class AssemblySettings(BaseModel):
@@ -111,7 +118,7 @@ class BoardSettings(BaseModel):
 class RenderSettings(BaseModel):
     """Light paths per pixel: of specimens with relief, of the edges on boards, and for interreflections.
 
-    Planes, and boards away from edges, have 16. Nodes of 16, 64 and 128 are designed, see ``twin.node_design``.
+    Planes, and boards away from edges, have 16. See ``twin.node_design`` for the numbers that are designed.
     """
 
     model_config = _STRICT

@@ -62,12 +62,16 @@ class Workbench:
         return print_board(self._rig_file.board.nominal, errors, instrument_rng(self._settings.seed, part))
 
     def place(self, placement: Placement) -> None:
-        """Mount a part. Raises InputError for a part that neither the rig knows nor is a mesh file."""
+        """Mount a part. Raises InputError for one that neither the rig knows nor is a mesh file, or a bad pose."""
         self.mounted = self._mount(placement)
 
     def _mount(self, placement: Placement) -> Mounted:
         seed = self._settings.seed
         if placement.part in BOARDS:
+            if any(placement.pose_mm_deg):
+                raise InputError(
+                    f"the {placement.part} is held in numbered postures; leave out its pose {placement.pose_mm_deg}."
+                )
             printed = self.printed_board(placement.part)
             if placement.posture is not None:
                 pose = tilted(seed, placement.posture, printed.centres)

@@ -54,6 +54,16 @@ def test_without_noise_grey_values_are_the_light_on_top_of_the_black_level():
         np.testing.assert_allclose(grey, 4 + level * 251 / 6500, rtol=1e-6)
 
 
+def test_one_noise_is_the_same_whether_the_other_is_on_or_off():
+    both, shot, read, none = (
+        frames(900.0, 1, sensor(CameraSettings(shot_noise=s, read_noise_e=r, prnu=0, dsnu_e=0)))
+        for s, r in ((True, 10), (True, 0), (False, 10), (False, 0))
+    )
+    assert np.std(shot - none) > 0.5
+    assert np.std(read - none) > 0.2
+    np.testing.assert_allclose(both - shot, read - none, atol=1e-4)
+
+
 @pytest.mark.parametrize("level_e", [0.0, 60.0, 900.0, 6000.0])
 def test_temporal_noise_is_shot_and_read_noise(level_e):
     camera = sensor(TEMPORAL)

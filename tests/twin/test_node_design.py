@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import j1
 
-from greenough.twin.node_design import COUNTS, DIMENSIONS, NA, PIXEL, SECOND, disk, expected, moments, tent
+from greenough.twin.node_design import COUNTS, DIMENSIONS, NA, PIXEL, SECOND, design, disk, expected, moments, tent
 from greenough.twin.quadrature import nodes, nodes_of_direct_light
 
 PERIOD = 12 * 17.835e-3  # mm, of the densest fringes at the specimen
@@ -42,10 +42,18 @@ def test_place_in_pixel_and_pupils_are_not_correlated(count):
 
 @pytest.mark.parametrize("count", COUNTS)
 @pytest.mark.parametrize("defocus", [0.0, 0.6, -1.3, 1.5])
-def test_fringes_get_the_contrast_of_pixel_and_both_cones(count, defocus):
+@pytest.mark.parametrize("direction_deg", [0, 45, 90])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_fringes_get_the_contrast_of_pixel_and_both_cones(count, defocus, direction_deg, sign):
     u = nodes_of_direct_light(count).astype(float)
-    at = tent(u[:, 0]) * PIXEL + defocus * NA * (disk(u[:, 2:4])[:, 0] + disk(u[:, 4:6])[:, 0])
-    contrast = np.mean(np.cos(2 * np.pi * at / PERIOD))
+    along = np.array([np.cos(np.radians(direction_deg)), np.sin(np.radians(direction_deg))])
+    at = tent(u[:, :2]) * PIXEL + defocus * NA * (disk(u[:, 2:4]) + sign * disk(u[:, 4:6]))
+    contrast = np.mean(np.cos(2 * np.pi * at @ along / PERIOD))
     x = 2 * np.pi * NA * defocus / PERIOD
     cone = 2 * j1(x) / x if x else 1.0
-    assert np.isclose(contrast, np.sinc(PIXEL / PERIOD) ** 2 * cone**2, atol=1e-3)
+    pixel = np.prod(np.sinc(along * PIXEL / PERIOD)) ** 2
+    assert np.isclose(contrast, pixel * cone**2, atol=2e-3)
+
+
+def test_the_tables_are_what_the_design_writes():
+    np.testing.assert_allclose(nodes_of_direct_light(16), design(16), atol=1e-3)

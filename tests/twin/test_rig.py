@@ -230,6 +230,20 @@ def test_pictures_that_set_the_exposure_are_rendered_once_and_fringes_anew(small
         assert len(rendered) == count
 
 
+@pytest.mark.parametrize(
+    ("placement", "words"),
+    [
+        (Placement("coin", pose_mm_deg=(float("nan"), 0, 0, 0, 0, 0)), "six finite numbers"),
+        (Placement("coin", pose_mm_deg=(0, 0, 1)), "six finite numbers"),  # type: ignore[arg-type]
+        (Placement("plane", pose_mm_deg=(0, 0, 100, 0, 0, 0)), "measuring volume"),
+        (Placement("board", pose_mm_deg=(0, 0, 1, 0, 0, 0)), "postures"),
+    ],
+)
+def test_poses_that_nobody_can_hold_are_refused(small, placement, words):
+    rig, _ = small()
+    assert words in refusal(rig.operator.place, placement)
+
+
 @pytest.mark.parametrize("change", ["patterns", "height", "part"])
 def test_interreflections_kept_from_another_scene_are_not_shown(small, change):
     rig, _ = small()

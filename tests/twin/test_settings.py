@@ -76,6 +76,8 @@ def test_every_effect_can_be_switched_off_and_none_is_negative(effect):
         ("twin.light.white_photons_per_ms=nan", "light.white_photons_per_ms", "number"),
         ("twin.camera.quantum_efficiency=1.1", "camera.quantum_efficiency", "1"),
         ("twin.optics.gamma=0", "optics.gamma", "0.2"),
+        ("twin.optics.na=0.01", "na", "twin.optics.glass=false"),
+        ("twin.optics.pupil_distance_mm=200", "pupil_distance_mm", "twin.optics.glass=false"),
     ],
 )
 def test_a_wrong_field_is_named_with_what_is_allowed(override, field, allowed):

@@ -11,8 +11,8 @@
      The nodes of the direct light themselves, in the unit cube: pixel, sensor's pupil, projector's pupil. It replaces
      the low-discrepancy ones unless ``spp`` asks for another number.
  * - edge_table: tensor (nodes, 6)
-     Other nodes of the direct light for pixels whose blur may hold more than one shape (default: those of all pixels,
-     as ``spp`` has it, too).
+     Nodes for pixels whose blur may hold more than one shape, instead of ``node_table`` (default: none). With ``spp``
+     all pixels have the same. Steps within one shape, and changes of its colour, are not looked for.
  * - bounces: integer
      Surface interactions of a path: 1 is direct light only, 2 adds one interreflection (default: 2).
  * - guided: boolean
@@ -61,6 +61,11 @@ class FringeIntegrator(mi.SamplingIntegrator):
         self.node_table, self.edge_table = (
             np.array(props[name]) if name in props else None for name in ("node_table", "edge_table")
         )
+        for table in (self.node_table, self.edge_table):
+            if table is not None and (table.ndim != 2 or table.shape[1] != DIMENSIONS_DIRECT):
+                raise ValueError(
+                    f"a table of nodes has the shape {table.shape}; it must be (nodes, {DIMENSIONS_DIRECT})"
+                )
         self.nodes = int(props.get("nodes", 16))
         if self.node_table is not None:
             self.nodes = len(self.node_table)
@@ -105,14 +110,15 @@ class FringeIntegrator(mi.SamplingIntegrator):
         return _diffracted(channels, lit, sensor) if _border(sensor) else channels
 
     def _direct_light(self, scene: mi.Scene, sensor: mi.Sensor, seed: mi.UInt32 | int, spp: int) -> list[mi.Float]:
-        seen = survey(scene, _size(sensor), partial(_camera_ray, sensor))
-        channels = [dr.zeros(mi.Float, dr.prod(_size(sensor))) for _ in range(_channels(scene))]
         count, table = spp or self.nodes, self.node_table
         if table is None or count != len(table):
             table = nodes(count, DIMENSIONS_DIRECT)
-        parts = [(seen.lit, table)]
-        if self.edge_table is not None and not spp:
-            parts.append((seen.edges, self.edge_table))
+        edge_table = None if spp else self.edge_table
+        centre_um = _spectrum(scene).centre_um
+        ray = partial(_camera_ray, sensor, colour=centre_um)
+        seen = survey(scene, _size(sensor), ray, centre_um, find_edges=edge_table is not None)
+        channels = [dr.zeros(mi.Float, dr.prod(_size(sensor))) for _ in range(_channels(scene))]
+        parts = [(seen.lit, table)] if edge_table is None else [(seen.lit, table), (seen.edges, edge_table)]
         for pixel, table in parts:
             if dr.width(pixel):
                 light = self._accumulate(scene, sensor, pixel, seed, table, False, partial(self._visible, scene))

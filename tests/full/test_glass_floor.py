@@ -1,8 +1,8 @@
 """What a finite number of light paths per pixel does to phases through glass, with every assembly error on.
 
 The floor is what is left beside the best smooth surface, as with ideal lenses in ``test_sampling.py``. An error that is
-smooth acts as a part of the optics, since planes and boards are rendered with the same nodes everywhere; how large it
-is, is told by many nodes, behind rims that are as good as sharp.
+smooth acts as a part of the optics, since planes and the fringes on boards are rendered with the same nodes everywhere;
+how large it is, is told by many nodes, behind rims that are as good as sharp.
 """
 
 import time
@@ -25,6 +25,7 @@ ORDER = 6  # of the smooth surfaces
 RIM_PX = 10  # of the light: its edge is blurred into the phase there, which is optics and not sampling
 WHOLE_FIELD_MM = 5.67  # within this radius the projector's pencils are whole by design, the camera's within 6.3 mm
 BLOCK = 32  # pixels
+SMOOTH_ERROR_UM = {"unvignetted field": 0.3, "corners": 2.0}
 STAGE_ERRORS = ("position_sd_um", "straightness_sd_um", "pitch_roll_sd_urad", "axis_sd_deg")
 HEIGHTS = pytest.mark.parametrize("z", [-1.45, 0.0, 1.45])
 
@@ -101,7 +102,7 @@ def block_height_um(twin: Twin, corner: tuple[int, int], nodes: int | None = Non
 
 @HEIGHTS
 def test_phases_through_glass_are_those_of_many_nodes_but_for_a_smooth_error(twin, figure, z):
-    """In blocks of the unvignetted field; the smooth error, there and in the corners, is printed without a bar."""
+    """In blocks of the unvignetted field; the smooth error, there and in the corners, is as ``docs/physics.md`` says."""
     rig, bench, _ = twin
     rig.stage.move_to_mm(z)
     lit, field = lit_and_field(bench)
@@ -119,9 +120,10 @@ def test_phases_through_glass_are_those_of_many_nodes_but_for_a_smooth_error(twi
             assert (field[block].max() < WHOLE_FIELD_MM) == (name != "corners")
             errors[name].append(block_height_um(twin, (v, u)) - block_height_um(twin, (v, u), REFERENCE_NODES))
     rig.stage.move_to_mm(0.0)
-    for name, differences in errors.items():
-        worst = max(abs(float(difference.mean())) for difference in differences)
-        figure(f"smooth error through glass, z = {z} mm, {name}: worst block's mean", worst, np.inf, "um")
+    for name, limit in SMOOTH_ERROR_UM.items():
+        worst = max(abs(float(difference.mean())) for difference in errors[name])
+        figure(f"smooth error through glass, z = {z} mm, {name}: worst block's mean", worst, limit, "um")
+        assert worst <= limit
     floor = max(float(difference.std()) for difference in errors["unvignetted field"])
     figure(f"sampling floor through glass against {REFERENCE_NODES} nodes, z = {z} mm, worst block", floor, 0.15, "um")
     assert floor <= 0.15

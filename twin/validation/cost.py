@@ -32,7 +32,7 @@ HEIGHTS_MM = (-1.22, -0.62, 0.02, 0.62, 1.22)
 
 @dataclass(frozen=True)
 class Cost:
-    """One twin by one method; lengths in µm, heights unaligned.
+    """One twin by one method; lengths in µm, heights unaligned. NaN where a plane was not measured.
 
     Parameters
     ----------
@@ -145,7 +145,7 @@ def _see(setup: Setup, pair: Sequence[PhaseMap], quantised: bool) -> PlaneSeen:
     true = np.array([setup.bench.world_from_part[2, 3]])
     return PlaneSeen(
         errors=1e3 * np.stack([vertical_error(setup, each) for each in points]),
-        structure=1e3 * rms(np.array([structure(without_plane(setup, each)) for each in points])),
+        structure=1e3 * _root_of_mean([structure(without_plane(setup, each)) ** 2 for each in points]),
         noise=1e3 * predicted_noise(setup, pair[0], quantised),
         expected=1e3 * expected_error(setup, true)[0],
     )
@@ -155,25 +155,31 @@ def cost_of(case: str, method: str, planes: Sequence[PlaneSeen]) -> Cost:
     """The figures of one line, from planes at several heights, the lowest first."""
     pairs = [plane.errors for plane in planes]
     common = [first * second for first, second in pairs]
-    flat = [(first - np.nanmean(first)) * (second - np.nanmean(second)) for first, second in pairs]
+    flat = [(first - _mean(first)) * (second - _mean(second)) for first, second in pairs]
     differences = [first - second for first, second in pairs]
-    means = [float(np.nanmean(pair)) for pair in pairs]
+    means = [_mean(pair) for pair in pairs]
     expected = [plane.expected for plane in planes]
     return Cost(
         case=case,
         calibration=method,
         bias_um=float(np.mean(means)),
-        systematic_um=_root_of_mean(common),
+        systematic_um=_root_of_mean([_mean(product) for product in common]),
         systematic_predicted_um=rms(np.array(expected)),
-        flatness_um=_root_of_mean(flat),
-        structure_um=rms(np.array([plane.structure for plane in planes])),
-        noise_um=float(np.sqrt(np.mean([np.nanvar(difference) for difference in differences]) / 2)),
+        flatness_um=_root_of_mean([_mean(product) for product in flat]),
+        structure_um=_root_of_mean([plane.structure**2 for plane in planes]),
+        noise_um=_root_of_mean([_mean((each - _mean(each)) ** 2) / 2 for each in differences]),
         noise_predicted_um=rms(np.array([plane.noise for plane in planes])),
         step_um=means[-1] - means[0],
         step_predicted_um=float(expected[-1].mean() - expected[0].mean()),
     )
 
 
-def _root_of_mean(squares: Sequence[np.ndarray]) -> float:
-    """Noise can make a mean of products negative."""
-    return float(np.sqrt(max(0.0, np.mean([np.nanmean(square) for square in squares]))))
+def _mean(values: np.ndarray) -> float:
+    """Of all values but NaN; NaN without any."""
+    known = values[~np.isnan(values)]
+    return float(known.mean()) if len(known) else float("nan")
+
+
+def _root_of_mean(squares: Sequence[float]) -> float:
+    """Noise can make a mean of products negative; a plane that was not measured makes it NaN."""
+    return float(np.sqrt(np.maximum(0.0, np.mean(squares))))

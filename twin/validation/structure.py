@@ -21,6 +21,11 @@ def structure(residual: np.ndarray) -> float:
     ----------
     residual : (rows, cols)
         Departures of one exposure, NaN without a point. Not filtered: neighbours must be independent.
+
+    Returns
+    -------
+    float
+        NaN where no block is half measured.
     """
     blocks = blocks_of(residual)
     blocks = blocks[half_measured(blocks)]
@@ -33,7 +38,7 @@ def common_structure(first: np.ndarray, second: np.ndarray) -> float:
     """The structure that two exposures of one scene share, as `structure`, of residuals (rows, cols) each.
 
     The mean product of their blocks' means: noise, flicker and vibration of one are independent of the other's, so that
-    only what lasts is left, as the calibration's error and the scene's own do.
+    only what lasts is left, as the calibration's error and the scene's own do. NaN where they share no block.
     """
     pair = [blocks_of(residual) for residual in (first, second)]
     both = half_measured(pair[0]) & half_measured(pair[1])
@@ -42,4 +47,4 @@ def common_structure(first: np.ndarray, second: np.ndarray) -> float:
 
 
 def _root(squares: np.ndarray) -> float:
-    return float(np.sqrt(max(0.0, squares.mean())))
+    return float(np.sqrt(np.maximum(0.0, squares.mean()))) if len(squares) else float("nan")

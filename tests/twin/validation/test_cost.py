@@ -42,6 +42,15 @@ def test_an_error_of_scale_is_a_step_without_bias():
     assert cost.noise_um == 0
 
 
+def test_a_plane_that_was_not_measured_leaves_no_figure_that_looks_good():
+    planes = [seen(np.full((2, 4, 5), 1.0), structure=0.1, noise=0.1) for _ in HEIGHTS]
+    planes[2] = seen(np.full((2, 4, 5), np.nan), structure=float("nan"), noise=0.1)
+    cost = cost_of("x", "bundle", planes)
+    for figure in (cost.bias_um, cost.systematic_um, cost.flatness_um, cost.structure_um, cost.noise_um):
+        assert np.isnan(figure)
+    assert cost.step_um == 0  # of the outermost
+
+
 def test_what_is_predicted_and_structure_are_root_mean_squares_over_the_heights():
     planes = [seen(np.zeros((2, 4, 5)), structure=s, noise=2 * s) for s in (0.0, 3.0, 4.0, 0.0, 0.0)]
     cost = cost_of("x", "paper", planes)

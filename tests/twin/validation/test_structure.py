@@ -53,6 +53,18 @@ def test_structure_longer_than_a_block_is_found_at_its_size(period_px):
     assert structure(noise(6) + stripes(0.3, period_px)) == pytest.approx(seen, rel=0.05)
 
 
+@pytest.mark.filterwarnings("error")
+def test_where_nothing_is_measured_nothing_is_known():
+    """Not 0, which would keep to any limit. Less than half of a block is measured, or no block of both maps."""
+    sparse = np.full((64, 64), np.nan)
+    sparse[::16, ::16] = 1.0
+    assert np.isnan(structure(sparse))
+    left, right = np.full((2, 64, 64), np.nan)
+    left[:, :32] = right[:, 32:] = 1.0
+    assert structure(left) > 0.9
+    assert np.isnan(common_structure(left, right))
+
+
 def test_two_exposures_share_what_lasts_and_nothing_else():
     """The mean product of two independent maps' block means has the standard deviation σ²/n / √blocks."""
     fading = stripes(0.3, 320)

@@ -77,6 +77,27 @@ def test_the_regression_plane_touches_the_highest_apex():
     assert coplanarity(apexes, plane) == pytest.approx(worst / np.sqrt(1 + a * a + b * b))
 
 
+def test_the_regression_plane_goes_through_the_highest_apex_even_if_another_stands_out_of_it():
+    """Apexes on a slope: the one that is highest above the best plane is not the one farthest from the substrate."""
+    apexes = square(0.0, 0.2, 0.2, 0.0, 0.16)
+    plane = regression_plane(apexes)
+    above = apexes[:, 2] - plane[0] - apexes[:, :2] @ plane[1:]
+    assert above[4] > above[1] + 1e-3  # stands out
+    assert max(abs(above[1]), abs(above[2])) < 1e-2
+    assert min(abs(above[1]), abs(above[2])) < 1e-12
+
+
+@pytest.mark.parametrize("plane", [(0.3, 0.0, 0.0), (0.3, 0.01, -0.02)])
+def test_apexes_in_one_plane_stand_on_it(plane):
+    xy = np.stack(np.meshgrid(np.linspace(-1, 1, 4), np.linspace(-1, 1, 4)), axis=-1).reshape(-1, 2)
+    apexes = np.column_stack([xy, plane[0] + xy @ plane[1:]])
+    found = seating_planes(apexes, CENTRE)
+    np.testing.assert_allclose(found, [plane] * len(found), atol=1e-9)
+    assert coplanarity(apexes, found) < 1e-9
+    with pytest.raises(ValueError, match="no three apexes enclose"):
+        seating_planes(apexes, np.array([5.0, 0.0]))
+
+
 def test_a_package_that_would_fall_over_is_told():
     with pytest.raises(ValueError, match="no three apexes enclose"):
         seating_planes(square(0.0, 0.1, 0.0, 0.1), np.array([5.0, 0.0]))

@@ -15,6 +15,9 @@ from .setup import Setup
 RAW, FILTERED, DECONVOLVED, DECONVOLVED_FILTERED = "raw", "filtered", "deconvolved", "deconvolved_filtered"
 """What is done to a phase map. Names of its rows and clouds end so, unless nothing is."""
 
+SHINY = ("coin", "bga")
+"""Metal and solder: several exposures are merged, and what their blur costs must be deconvolved."""
+
 P95_LIMIT_UM, BIAS_LIMIT_UM, VALID_SHARE_LIMIT = 4.0, 1.0, 0.98
 """What smooth surfaces must keep to, unaligned."""
 
@@ -55,9 +58,16 @@ def filter_name(setup: Setup, treatment: str) -> str:
 def has_limits(setup: Setup, measured: Measured) -> bool:
     """Whether rows must keep to limits: those of the best treatment by the calibration that does not trust the stage.
 
-    The others report what blur, noise and the stage do.
+    The others report what blur, noise and the stage do: so do all of a shiny part where the calibration knows no point
+    spread to deconvolve with.
     """
-    return not setup.believes_stage and measured.treatment in (FILTERED, DECONVOLVED_FILTERED)
+    best = DECONVOLVED_FILTERED if measured.name in SHINY else FILTERED
+    return not setup.believes_stage and measured.treatment == best
+
+
+def with_noise(criterion: str, noise_um: float) -> str:
+    """A criterion (of a figure to which blur, interreflections and calibration add) with what noise alone makes."""
+    return f"{criterion}; noise alone makes {noise_um:.2f} um" if np.isfinite(noise_um) else criterion
 
 
 def noise_quantile(sigma: np.ndarray, share: float = 0.95) -> float:

@@ -24,17 +24,18 @@ from .measured import (
     FILTERED,
     P95_LIMIT_UM,
     RAW,
+    SHINY,
     VALID_SHARE_LIMIT,
     Measured,
     filter_name,
     has_limits,
     noise_quantile,
+    with_noise,
 )
 from .setup import Setup
 
 SPECIMENS = ("coin", "bga", "diaphragm-concave", "diaphragm-equilibrated", "diaphragm-raised")
 
-SHINY = ("coin", "bga")  # metal and solder: several exposures are merged
 WALLED = ("bga",)  # no limit holds for the walls of its balls; `balls` has rows for what can be measured
 
 
@@ -104,22 +105,24 @@ def _cloud(setup: Setup, name: str, treatment: str, points: PointMap, truth: Tru
 def specimen_claims(setup: Setup, measured: Measured) -> Iterator[Claim]:
     """Bias, spread and coverage of one specimen on its smooth surface, unaligned.
 
-    What is predicted of the spread is the frames' noise alone: the more is measured, the more blur, interreflections
-    and the calibration have added.
+    Beside the spread stands what the frames' noise alone makes of it: the more is measured, the more blur,
+    interreflections and the calibration have added.
     """
     suffix, filter = measured.suffix, filter_name(setup, measured.treatment)
     limited = has_limits(setup, measured) and measured.name not in WALLED
     row = measured.error
     sigma = 1e3 * measured.height_sigma[measured.smooth & measured.points.valid]
     noise = float(np.sqrt(np.mean(sigma**2))) if len(sigma) else float("nan")
-    for name, value, limit, predicted, criterion in (
-        ("bias", row.bias_um, BIAS_LIMIT_UM, None, "mean vertical error where the surface is smooth"),
-        ("rmse", row.rmse_um, None, noise, "root mean square vertical error where the surface is smooth"),
-        ("p95", row.p95_um, P95_LIMIT_UM, noise_quantile(sigma), "95 % of the vertical errors where it is smooth"),
+    rmse = with_noise("root mean square vertical error where the surface is smooth", noise)
+    p95 = with_noise("95 % of the vertical errors where it is smooth", noise_quantile(sigma))
+    for name, value, limit, criterion in (
+        ("bias", row.bias_um, BIAS_LIMIT_UM, "mean vertical error where the surface is smooth"),
+        ("rmse", row.rmse_um, None, rmse),
+        ("p95", row.p95_um, P95_LIMIT_UM, p95),
     ):
         yield setup.claim(
             name + suffix, measured.name, value, "um", row.n, criterion, limit=limit if limited else None,
-            filter=filter, predicted=predicted, expected_to_hold=True,
+            filter=filter,
         )  # fmt: skip
     yield setup.claim(
         "valid_share" + suffix, measured.name, measured.valid_share, "1", int(measured.truth.lit_and_seen.sum()),

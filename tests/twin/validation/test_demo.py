@@ -78,7 +78,12 @@ def test_every_name_that_scripts_rely_on_has_its_row_and_every_row_its_fields(do
             assert {row["claim"] for row in of_method if row["specimen"] == specimen} >= PER_SPECIMEN
     assert len({(row["claim"], row["specimen"], row["calibration"]) for row in rows}) == len(rows)
     for row in rows:
-        assert isinstance(row["measured"], float), row
+        if row["measured"] is None:  # not measured: some balls have no apex in so coarse pixels
+            assert row["specimen"] == "bga", row
+            assert row["claim"] not in PER_SPECIMEN, row
+            assert not row["holds"], row
+        else:
+            assert isinstance(row["measured"], float), row
         assert (row["limit"] is None) == (row["holds"] is None), row
         if row["holds"] is None:
             assert row["expected_to_hold"] is None, row

@@ -32,10 +32,11 @@ class Whiteness:
 
     @property
     def p_value(self) -> float:
-        """Probability that white noise gives a score as large as the largest here, anywhere.
+        """Probability, about, that white noise gives a score as large as the largest here, anywhere.
 
         The scores of all scales and lags are one normal sample of unknown correlation: by Šidák's inequality the
-        probability is at most 1 - (1 - p)^m, with p of the largest alone and m scores.
+        probability is at most 1 - (1 - p)^m, with p of the largest alone and m scores. A sum of products is not quite
+        normal where there are few, on coarse scales: far out in its tails the probability is approximate.
         """
         largest = np.nanmax(np.abs(self.scores))
         scores = int(np.isfinite(self.scores).sum())
@@ -56,11 +57,18 @@ def whiteness(residual: np.ndarray, sigma: np.ndarray) -> Whiteness:
         NaN without a point.
     sigma : (rows, cols)
         Standard deviation that noise predicts of each; only its course over the picture matters.
+
+    Raises
+    ------
+    ValueError
+        If no scale has enough pairs to be tested.
     """
     standard = residual / sigma
-    standard = standard / np.sqrt(np.nanmean(standard**2))
+    standard = standard / np.sqrt(np.nansum(standard**2) / max(1, np.isfinite(standard).sum()))
     found = [[_correlation(_block_sums(standard, side), *lag) for lag in LAGS] for side in SCALES_PX]
     correlations, pairs = np.moveaxis(np.array(found), -1, 0)
+    if np.isnan(correlations).all():
+        raise ValueError(f"fewer than {LEAST_PAIRS} pairs of neighbours are measured: whiteness cannot be tested")
     return Whiteness(correlations, correlations * np.sqrt(pairs))
 
 

@@ -69,6 +69,14 @@ def test_structure_above_what_is_said_to_be_detectable_is_found_and_far_below_it
     assert np.mean(np.array(missed) < FALSE_ALARMS) < 0.4
 
 
+@pytest.mark.parametrize("measured", [0, 50])
+def test_a_map_with_too_few_pairs_is_refused(measured):
+    residual = np.full(SHAPE, np.nan)
+    residual[0, :measured] = np.random.default_rng(5).standard_normal(measured)
+    with pytest.raises(ValueError, match="fewer than 100 pairs"):
+        whiteness(residual, np.ones(SHAPE))
+
+
 def test_neighbours_that_share_noise_are_found():
     rng = np.random.default_rng(4)
     white = noise(rng)

@@ -4,6 +4,7 @@ import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.stats import t as student
@@ -19,7 +20,11 @@ FIGURES = tuple(field.name for field in fields(Cost) if field.name.endswith("_um
 MEASURED = tuple(name for name in FIGURES if "predicted" not in name)
 
 FALSE_ALARM = 0.01
-"""Chance, about, that a figure which an effect leaves alone counts as changed."""
+"""Chance, about, that a figure which an effect leaves alone counts as changed, where such effects' changes are alike.
+
+Of the paper's method they are. Of the bundle they are not: one switch leaves its frames nearly as they were, another
+draws all of them anew. There the names are no evidence, and the scatter over runs is what to compare with.
+"""
 
 NEGLIGIBLE_UM = 0.01
 """Changes below it are not named."""
@@ -37,7 +42,8 @@ def steps_to_do(rig_name: str, overrides: Sequence[str], out: Path) -> int:
 def budget(rig_name: str, overrides: Sequence[str], out: Path, advance: Callable[[float], None]) -> list[Cost]:
     """Run all cases, which takes a calibration and ten captures each, and write them to ``out`` as JSON.
 
-    The file is written after every case. If it exists, of the same rig and settings, its cases are not run again.
+    The file is written after every case, NaN as null. If it exists, of the same rig and settings, its cases are not run
+    again.
 
     Parameters
     ----------
@@ -59,8 +65,19 @@ def budget(rig_name: str, overrides: Sequence[str], out: Path, advance: Callable
         if not any(cost.case == case.name for cost in costs):
             costs += measure_cost(rig_name, [*overrides, *case.off], case.name, case.run, advance)
             with atomic_path(out) as temporary:
-                temporary.write_text(json.dumps({"settings": settings, "costs": [asdict(c) for c in costs]}, indent=1))
+                document = {"settings": settings, "costs": [_as_json(cost) for cost in costs]}
+                temporary.write_text(json.dumps(document, indent=1, allow_nan=False))
     return costs
+
+
+def _as_json(cost: Cost) -> dict[str, Any]:
+    values = asdict(cost).items()
+    return {name: None if isinstance(value, float) and np.isnan(value) else value for name, value in values}
+
+
+def _from_json(cost: Mapping[str, Any]) -> Cost:
+    values: dict[str, Any] = {name: float("nan") if value is None else value for name, value in cost.items()}
+    return Cost(**values)
 
 
 def _done(out: Path, settings: str) -> list[Cost]:
@@ -68,8 +85,8 @@ def _done(out: Path, settings: str) -> list[Cost]:
         return []
     try:
         document = json.loads(out.read_text(encoding="utf-8"))
-        same, costs = document["settings"] == settings, [Cost(**cost) for cost in document["costs"]]
-    except (ValueError, KeyError, TypeError):
+        same, costs = document["settings"] == settings, [_from_json(cost) for cost in document["costs"]]
+    except (ValueError, KeyError, TypeError, AttributeError):
         raise InputError(f"{out} is not an error budget: name another file.") from None
     if not same:
         raise InputError(f"{out} is the budget of other settings or another rig: remove it or name another file.")
@@ -104,7 +121,7 @@ def tables(costs: Sequence[Cost]) -> dict[str, list[Row]]:
 
 
 def changed(costs: Mapping[str, Cost], bases: Mapping[str, Cost]) -> dict[str, str]:
-    """Which measured figures each effect changes, beyond chance and by more than ``NEGLIGIBLE_UM``.
+    """Which measured figures each effect changes, beyond `margin_of_error` and by more than ``NEGLIGIBLE_UM``.
 
     Parameters
     ----------
@@ -119,7 +136,8 @@ def changed(costs: Mapping[str, Cost], bases: Mapping[str, Cost]) -> dict[str, s
     found: dict[str, list[str]] = {effect: [] for effect in costs}
     for name in MEASURED:
         changes = {effect: getattr(costs[effect], name) - getattr(bases[effect], name) for effect in costs}
-        limit = max(NEGLIGIBLE_UM, margin_of_error(np.array(list(changes.values()))))
+        known = np.array([change for change in changes.values() if np.isfinite(change)])
+        limit = max(NEGLIGIBLE_UM, margin_of_error(known)) if len(known) else NEGLIGIBLE_UM
         for effect, change in changes.items():
             if abs(change) > limit:
                 found[effect].append(name.removesuffix("_um"))
@@ -132,7 +150,8 @@ def margin_of_error(changes: np.ndarray) -> float:
     Cases of one run share their noise, so that it is not their scatter over runs that counts. As most effects leave a
     figure alone, the middle of its changes tells chance from them: Lenth's pseudo standard error, 1.5 times the median
     of the absolute changes without those beyond 2.5 times that of all, with Student's t of a third as many degrees of
-    freedom as there are changes (Technometrics 31, 1989). It holds at ``FALSE_ALARM`` for a single figure.
+    freedom as there are changes (Technometrics 31, 1989). It holds at ``FALSE_ALARM`` for a single figure if the
+    changes by all effects that leave it alone are draws from one distribution.
     """
     absolute = np.abs(changes)
     inert = absolute[absolute <= 2.5 * 1.5 * np.median(absolute)]

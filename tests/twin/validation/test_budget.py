@@ -53,6 +53,29 @@ def test_an_interrupted_budget_goes_on(monkeypatch, tmp_path):
     assert steps_to_do("twin", [], out) == 0
 
 
+def test_figures_that_could_not_be_measured_are_null_and_come_back(monkeypatch, tmp_path):
+    def measure(rig, overrides, case, run, advance):
+        return [cost(case, method, bias_um=float("nan")) for method in METHODS]
+
+    monkeypatch.setattr(budget, "measure_cost", measure)
+    out = tmp_path / "budget.json"
+    budget.budget("twin", [], out, lambda steps: None)
+    written = json.loads(out.read_text(), parse_constant=pytest.fail)
+    assert {line["bias_um"] for line in written["costs"]} == {None}
+    again = budget.budget("twin", [], out, lambda steps: None)
+    assert all(np.isnan(line.bias_um) and line.step_um == 1.0 for line in again)
+    assert tables(again)["bundle, each effect off"][2]["changes"] == ""
+
+
+def test_one_line_without_figures_does_not_hide_the_changes_of_others():
+    base = cost("base")
+    costs = dict.fromkeys(EFFECTS, base)
+    first, second = list(EFFECTS)[:2]
+    costs |= {first: replace(base, bias_um=3.0), second: replace(base, bias_um=float("nan"))}
+    named = changed(costs, dict.fromkeys(EFFECTS, base))
+    assert (named[first], named[second]) == ("bias", "")
+
+
 def test_the_file_of_other_settings_is_refused(monkeypatch, tmp_path):
     lines_of(monkeypatch, [])
     out = tmp_path / "budget.json"

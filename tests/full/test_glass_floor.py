@@ -102,7 +102,7 @@ def block_height_um(twin: Twin, corner: tuple[int, int], nodes: int | None = Non
 
 @HEIGHTS
 def test_phases_through_glass_are_those_of_many_nodes_but_for_a_smooth_error(twin, figure, z):
-    """In blocks of the unvignetted field; the smooth error, there and in the corners, is as ``docs/physics.md`` says."""
+    """In blocks of the unvignetted field; the smooth error there and in the corners is as ``docs/physics.md`` says."""
     rig, bench, _ = twin
     rig.stage.move_to_mm(z)
     lit, field = lit_and_field(bench)

@@ -20,10 +20,10 @@ FIGURES = tuple(field.name for field in fields(Cost) if field.name.endswith("_um
 MEASURED = tuple(name for name in FIGURES if "predicted" not in name)
 
 FALSE_ALARM = 0.01
-"""Chance, about, that a figure which an effect leaves alone counts as changed, where such effects' changes are alike.
+"""Chance, about, that a figure which an effect leaves alone counts as changed, where all such changes are alike.
 
-Of the paper's method they are. Of the bundle they are not: one switch leaves its frames nearly as they were, another
-draws all of them anew. There the names are no evidence, and the scatter over runs is what to compare with.
+The bundle's are not: one switch leaves its frames nearly as they were, another draws all of them anew. There the names
+are no evidence, and the scatter over runs is what to compare with.
 """
 
 NEGLIGIBLE_UM = 0.01

@@ -130,6 +130,15 @@ def test_what_does_nothing_is_called_a_change_about_as_often_as_stated():
     assert alarms / (2000 * (effects - 3)) == pytest.approx(FALSE_ALARM, rel=0.5)
 
 
+def test_false_alarms_are_as_rare_only_if_idle_effects_change_a_figure_alike():
+    """A third of the idle effects scatters ten times as much as the others: what they do is called a change."""
+    rng = np.random.default_rng(3)
+    scatter = np.where(np.arange(len(EFFECTS)) % 3 == 0, 1.0, 0.1)
+    draws = rng.normal(0, scatter, (200, len(EFFECTS)))
+    alarms = np.mean([np.abs(changes) > margin_of_error(changes) for changes in draws])
+    assert alarms > 5 * FALSE_ALARM
+
+
 def test_tables_hold_what_was_measured():
     costs = [cost(case.name, method, noise_um=float(k)) for k, case in enumerate(cases()) for method in METHODS]
     table = tables(costs)["paper, each effect off"]

@@ -21,10 +21,10 @@ def calibrate_by_bundle(data: CalibrationData) -> Calibration:
     """Fit camera, projector, spots, postures and planes together, and turn the model into maps of every pixel.
 
     z = 0 is the printed face in the flat posture as the spots' phases show it: the board need not be turned over
-    exactly. The blank side at stage position 0 is one more plane. Pixels are valid where `MIN_PLANES` or more planes were
-    seen; their relation is the model's, without any pattern of their own, and is given out for all heights from the
-    lowest to the highest plane. A pixel at the rim of the board or of the light that saw a few planes at one end alone
-    has its relation extrapolated over the rest of the depth by the model, which knows these heights from other pixels.
+    exactly. The blank side at stage position 0 is one more plane. Pixels are valid where `MIN_PLANES` planes or more
+    were seen; their relation is the model's, without any pattern of their own, and is given out for all heights from
+    the lowest to the highest plane. Where a pixel at the rim of the board or of the light saw a few planes at one end
+    alone, the model, which knows the other heights from other pixels, extrapolates over the rest of the depth.
 
     Raises
     ------

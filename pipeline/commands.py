@@ -66,7 +66,7 @@ def measure(
         bool, typer.Option("--bracket", help="Merge the exposures of procedure.brackets, for shiny parts.")
     ] = False,
     filter_fwhm_px: Annotated[
-        float | None, typer.Option("--filter-fwhm-px", help="Plane under a Gaussian, on the phasors. [default: no filter]")
+        float | None, typer.Option("--filter-fwhm-px", help="Plane under a Gaussian on the phasors. [default: none]")
     ] = None,
     deconvolve: Annotated[
         bool, typer.Option("--deconvolve", help="Undo the drag of blur towards brighter neighbours: metal, solder.")
@@ -88,6 +88,7 @@ def measure(
         brackets = opened.procedure.brackets if bracket else (1.0,)
         points = acquisition.measure(opened, loaded, placement, brackets, filter_fwhm_px, deconvolve)
         advance(1)
+    filtered = f"plane under a gaussian on phasors, fwhm {filter_fwhm_px or 0:g} px"
     facts = {
         "unit": "mm",
         "sample": sample,
@@ -97,7 +98,7 @@ def measure(
         "calibration_run": loaded.run,
         "brackets": " ".join(f"{ratio:g}" for ratio in brackets),
         "deconvolved": "yes" if deconvolve else "no",
-        "filter": "none" if filter_fwhm_px is None else f"plane under a gaussian on phasors, fwhm {filter_fwhm_px:g} px",
+        "filter": "none" if filter_fwhm_px is None else filtered,
     }
     cloud = PointCloud.from_point_map(points, facts=facts)
     if len(cloud.xyz) == 0:

@@ -16,8 +16,9 @@ from greenough.instrument.files import atomic_path
 TOSS_UP_SDS = 3.0
 """A limit within so many standard deviations of a prediction leaves open what to expect: chance decides.
 
-Of a figure whose prediction lies just farther away, a normal deviate puts 1 in 740 on the limit's other side. That is
-the rate of false alarms of such a row at worst."""
+Of a figure whose prediction lies just farther away, a normal deviate puts 1 in 740 on the limit's other side, if its
+standard deviation is the one that is stated. The rate holds for no more than that: many rows state the spread of
+sampling and of the drift that is left to chance alone, and a prediction that leaves something out may err by more."""
 
 PACKAGES = ("greenough", "mitsuba", "drjit", "numpy", "scipy", "opencv-python-headless", "libigl")
 

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.polynomial import chebyshev
 
 from greenough.instrument.contract import BLANK, Placement, Rig
 from greenough.instrument.rigfile import load_rig_file
@@ -21,15 +22,21 @@ from ..rig import open as open_twin
 from ..settings import twin_settings
 from ..workbench import Workbench
 from .claims import Claim
-from .mechanics import field_grid, systematic_error
+from .mechanics import DEGREE, field_grid, systematic_error
 from .setup import Setup
-from .volume import PLANES, VOLUME_HEIGHTS_MM, depth_claims, measure_volume
+from .volume import PLANES, depth_claims, measure_volume
 
 POSITION_SD_UM = 10.0
 RUN = "demo with a coarse stage"
+MEASUREMENT_RUN = "demo measurement with a coarse stage"
+HEIGHTS_MM = (-1.4, -1.0, -0.5, 0.0, 0.5, 1.0, 1.4)
+"""Stage positions of the flat planes: three standard deviations of the stage's error, there and at the calibration's
+planes, inside the 1.45 mm of the outermost of these, so that no plane is cut where its errors are large."""
 SPECIMEN = f"plane, stage of {POSITION_SD_UM:g} um"
 INSTRUMENTS = 40  # drawn for the share of them that keeps the limit: enough to tell a tenth from a half
 LIMIT_UM = 4.0
+_STAGES = 2000  # with independent errors: a share of a tenth is known to 0.7 %
+SHARE_LIMIT = 0.95  # of instruments that would have to keep it, were such a stage enough
 
 
 def steps(rig: Rig) -> int:
@@ -54,15 +61,22 @@ def coarse_stage_claims(
     coarse = [*overrides, f"twin.stage.position_sd_um={POSITION_SD_UM:g}"]
     rig, bench = open_twin(rig_name, coarse, run=RUN)
     with rig:
-        setup = _calibrated(Setup(rig, bench, paper), advance)
-        (planes,) = measure_volume([setup], advance)
+        calibration = _calibrated(Setup(rig, bench, paper), advance)
+    # The same instrument in a run of its own: what drifts is not that of the calibration.
+    rig, bench = open_twin(rig_name, coarse, run=MEASUREMENT_RUN)
+    with rig:
+        setup = Setup(rig, bench, calibration)
+        (planes,) = measure_volume([setup], advance, HEIGHTS_MM)
     for claim in depth_claims(setup, planes):
         yield replace(claim, specimen=SPECIMEN)
-    kept = [p95 <= LIMIT_UM for p95 in predicted_percentiles(rig_name, coarse, setup.readings)]
+    others = np.array(list(predicted_percentiles(rig_name, coarse, setup.readings)))
+    of = f"depth_p95_volume of {len(others)} other instruments, predicted from stage and board as drawn, without frames"
     yield setup.claim(
-        "stages_within_4um", SPECIMEN, float(np.mean(kept)), "1", len(kept),
-        "share of instruments drawn anew whose depth_p95_volume is predicted within 4 um, without noise",
+        "stages_within_4um", SPECIMEN, float(np.mean(others <= LIMIT_UM)), "1", len(others),
+        f"share within 4 um, at least {SHARE_LIMIT:g} if such a stage were enough: {of}", limit=SHARE_LIMIT,
+        at_least=True, expected_to_hold=False, predicted=independent_errors_share(setup.readings),
     )  # fmt: skip
+    yield setup.claim("stages_median_p95", SPECIMEN, float(np.median(others)), "um", len(others), f"median: {of}")
 
 
 def predicted_percentiles(rig_name: str, overrides: Sequence[str], readings: np.ndarray) -> Iterator[float]:
@@ -75,12 +89,27 @@ def predicted_percentiles(rig_name: str, overrides: Sequence[str], readings: np.
     for k in range(1, INSTRUMENTS + 1):
         other = settings.model_copy(update={"seed": settings.seed + k})
         bench = Bench(rig_file, other, Workbench(rig_file, other))
-        error = systematic_error(bench, readings, np.array(VOLUME_HEIGHTS_MM), places)
+        error = systematic_error(bench, readings, np.array(HEIGHTS_MM), places)
         yield 1e3 * float(np.percentile(np.abs(error), 95))
 
 
-def _calibrated(setup: Setup, advance: Callable[[float], None]) -> Setup:
-    """The setup with a relation from planes of its own stage."""
+def independent_errors_share(readings: np.ndarray) -> float:
+    """Share of stages within ``LIMIT_UM`` whose heights err by independent normal deviates, under a flat board.
+
+    A cubic through the planes takes their errors for heights, and the origin is where the stage stood at 0.
+    """
+    rng, scale = np.random.default_rng(0), np.abs(readings).max()
+    planes, zero = rng.normal(0, POSITION_SD_UM, (_STAGES, len(readings))), rng.normal(0, POSITION_SD_UM, (_STAGES, 1))
+    powers, at_zero, there = (
+        chebyshev.chebvander(np.asarray(z) / scale, DEGREE) for z in (readings, [0.0], HEIGHTS_MM)
+    )
+    relations = planes @ np.linalg.pinv(powers).T  # (stages, coefficients)
+    error = relations @ at_zero.T - relations @ there.T - zero
+    return float(np.mean(np.percentile(np.abs(error), 95, axis=1) <= LIMIT_UM))
+
+
+def _calibrated(setup: Setup, advance: Callable[[float], None]) -> Calibration:
+    """The setup's calibration with a relation from planes of its own stage."""
     rig, fringes = setup.rig, setup.calibration.fringes
     patterns = fringes.patterns(*rig.projector.shape)
     setup.place(Placement("board", face=BLANK))
@@ -92,5 +121,4 @@ def _calibrated(setup: Setup, advance: Callable[[float], None]) -> Setup:
         exposures = int(frames.serials[-1]) + 1
         advance(1)
     fit, _ = fit_planes(phases[0], np.stack(phases[1:]), setup.readings)
-    calibration = replace(setup.calibration, phase_height=fit.relation, run=RUN, exposures=exposures)
-    return replace(setup, calibration=calibration)
+    return replace(setup.calibration, phase_height=fit.relation, run=RUN, exposures=exposures)

@@ -18,7 +18,7 @@ from .setup import Setup
 
 DEGREE = 3  # a pixel's relation has four effective parameters
 HALF_FIELD_MM = (3.7, 2.9)
-_QUANTILES = 199  # deviates that stand for a normal distribution: its 95 % point to 3 %
+_QUANTILES = 199  # deviates that stand for a normal distribution: its 95 % point to 3 %, its 99 % point to 9 %
 _DRAWS = 100  # of what is left to chance: a standard deviation of them is known to 7 %
 
 
@@ -72,6 +72,9 @@ def systematic_error(
 ) -> np.ndarray:
     """Error of z by the paper's method at true heights.
 
+    They are counted from what the relations make of the blank side at stage position 0: from the mean over the field,
+    whichever places are asked for.
+
     Parameters
     ----------
     bench : Bench
@@ -90,20 +93,25 @@ def systematic_error(
     -------
     (h, places) mm
     """
-    places = field_grid() if places is None else places
+    field = field_grid()
+    places = field if places is None else places
     heights = _at_places(heights, places)
     scale = np.abs(readings).max()
-    true = np.stack([bench.blank_face_height(reading, places) for reading in readings])  # (planes, places)
-    at_zero = bench.blank_face_height(0.0, places)
-    if drift is not None:
-        true, at_zero = true + drift.planes[:, None], at_zero + drift.at_zero
-    error, zero = np.empty(heights.shape), np.empty(len(places))
+    lag, lag_at_zero = (np.zeros(len(readings)), 0.0) if drift is None else (drift.planes, drift.at_zero)
+
+    def blank_faces(xy: np.ndarray) -> np.ndarray:  # (planes, places)
+        return np.stack([bench.blank_face_height(reading, xy) for reading in readings]) + lag[:, None]
+
+    true = blank_faces(places)
+    at_zero = bench.blank_face_height(0.0, field) + lag_at_zero
+    relations = (chebyshev.chebfit(heights_there / scale, readings, DEGREE) for heights_there in blank_faces(field).T)
+    zero = np.mean([chebyshev.chebval(z / scale, relation) for z, relation in zip(at_zero, relations, strict=True)])
+    error = np.empty(heights.shape)
     for k in range(len(places)):
         used = slice(None) if seen is None else seen[:, k]
         relation = chebyshev.chebfit(true[used, k] / scale, readings[used], DEGREE)
         error[:, k] = chebyshev.chebval(heights[:, k] / scale, relation) - heights[:, k]
-        zero[k] = chebyshev.chebval(at_zero[k] / scale, relation)
-    return error - zero.mean()
+    return error - zero
 
 
 def calibration_drift(setup: Setup) -> Drift:
@@ -121,12 +129,21 @@ def calibration_drift(setup: Setup) -> Drift:
     return Drift(flat, zero, np.array(planes))
 
 
-def left_to_chance(setup: Setup, heights: np.ndarray) -> np.ndarray:
+def left_to_chance(setup: Setup, heights: np.ndarray, exposures: int) -> np.ndarray:
     """Draws of the error of z at true ``heights`` (h, places) that `expected_error` does not know.
 
     It is the drift of the projected picture against the camera, a random walk, which looks like one of the surface by
     1 / (2 sin α) as much, where 2α is the angle between the paths. While the planes were taken it went into the
-    relation; the height that is measured is of another run and gets a drift of its own.
+    relation. The height that is measured is of another run, whose drift begins anew; heights after different
+    ``exposures`` lie on one walk.
+
+    Parameters
+    ----------
+    setup : Setup
+    heights : (h, places)
+        mm.
+    exposures : int
+        Of the run in which the heights are measured, before them.
 
     Returns
     -------
@@ -134,10 +151,12 @@ def left_to_chance(setup: Setup, heights: np.ndarray) -> np.ndarray:
     """
     settings = setup.bench.settings
     sd = 1e-3 * settings.stability.path_drift_um / (2 * np.sin(np.radians(settings.optics.convergence_deg / 2)))
-    rng = np.random.default_rng(0)
-    planes = len(setup.readings)
-    captures = setup.calibration.procedure.postures + planes
-    own = sd * rng.standard_normal((_DRAWS, 1, 1))
+    own_rng, rng = (np.random.default_rng(key) for key in (1, 0))
+    planes, procedure = len(setup.readings), setup.calibration.procedure
+    captures = procedure.postures + planes
+    # Rows are drawn one after the other: a longer walk goes on as the shorter one began.
+    walked = own_rng.standard_normal((round(exposures / sum(procedure.steps)), _DRAWS)).sum(axis=0)
+    own = (sd / np.sqrt(captures) * walked)[:, None, None]
     if not setup.believes_stage:
         return np.broadcast_to(own, (_DRAWS, *heights.shape))
     walk = sd / np.sqrt(captures) * rng.standard_normal((_DRAWS, planes + 1)).cumsum(axis=1)
@@ -159,7 +178,7 @@ def calibration_noise_share(setup: Setup, heights: np.ndarray) -> float:
     It is a pattern of single pixels that no filter takes out of z. The bundle fits no relation to single pixels and has
     no such pattern.
     """
-    if not setup.believes_stage:
+    if not setup.believes_stage or heights.size == 0:
         return 0.0
     scale = np.abs(setup.readings).max()
     planes, here = (chebyshev.chebvander(z / scale, DEGREE) for z in (setup.readings, heights))
@@ -167,8 +186,24 @@ def calibration_noise_share(setup: Setup, heights: np.ndarray) -> float:
     return float(np.sqrt(leverage.mean()))
 
 
+def calibration_noise(setup: Setup) -> float | None:
+    """Noise of single pixels in the calibration's planes, mm RMS, from the residuals that it states; None without any.
+
+    What the planes of a pixel leave beside its relation, less what a whole block of pixels has in common, which is the
+    stage's. As many degrees of freedom are lost as a relation has parameters.
+    """
+    residuals = setup.calibration.residuals
+    if residuals is None:
+        return None
+    planes = len(setup.readings)
+    scatter, common = (np.nanmean(np.square(um, dtype=float)) for um in (residuals.pixels_um, residuals.planes_um))
+    return 1e-3 * float(np.sqrt(max(scatter - common, 0.0) * planes / (planes - DEGREE - 1)))
+
+
 def percentile_with_noise(error: np.ndarray, sigma: float, share: float) -> float:
-    """The ``share``-quantile of |error + noise| over all of ``error``, for normal noise of ``sigma``, mm."""
+    """The ``share``-quantile of |error + noise| over all errors, for normal noise of ``sigma``, mm. NaN of none."""
+    if error.size == 0:
+        return np.nan
     noise = sigma * ndtri((np.arange(_QUANTILES) + 0.5) / _QUANTILES)
     return float(np.quantile(np.abs(error.ravel()[:, None] + noise), share))
 

@@ -13,8 +13,8 @@ from greenough.pipeline.phasor_filter import filter_phasors
 from greenough.pipeline.reconstruct import PointMap
 
 from .claims import Claim
-from .mechanics import calibration_noise_share, expected_error, percentile_with_noise
-from .planes import BLOCK_PX, count, plane_terms, rms, without_plane
+from .mechanics import calibration_noise, calibration_noise_share, expected_error, percentile_with_noise
+from .planes import BLOCK_PX, count, percentile, plane_terms, rms, without_plane
 from .setup import Setup
 from .structure import common_structure, structure
 
@@ -23,7 +23,6 @@ PAPER_LINE, PAPER_ROWS = 330, 960  # the row whose profile the paper shows, and 
 NOISE_MODEL_TOLERANCE = 0.05
 STRUCTURE_LIMIT_UM = 0.5
 FILTERED_LIMIT_UM = 0.65
-_TOLERANCE = 0.1  # of the noise of the calibration's planes beside that of one near the focus
 _EVERY = 32  # pixels between those where a smooth shape is predicted
 
 
@@ -80,26 +79,25 @@ def _plane_noise(setup: Setup, first: PhaseMap, second: PhaseMap, smoother: Phas
 def noise_claims(setup: Setup, plane: PlaneNoise) -> Iterator[Claim]:
     """What one and two exposures of a plane scatter by, about the best plane through them.
 
-    Predicted from the frames' noise, the calibration's, and the shape that the calibration took for flat. The spread of
-    a prediction is that of the sample, of n normal deviates σ / √(2n), and what the calibration's noise may differ by
-    from that of this exposure: its planes lie farther from the focus.
+    Predicted from the frames' noise, the calibration's, and the shape that the calibration took for flat. Left out are
+    structure that the bundle's fit leaves, flicker, and whatever else the noise's model does not know: the spread of a
+    prediction is that of the sample alone, σ / √(2n) for n independent normal deviates, and cannot excuse these.
     """
     raw, two, filtered = plane.raw, plane.two_exposures, plane.filtered
     everywhere, on_line = _expected_shape(setup, plane.xy)
     shape = rms(everywhere)
-    fixed = calibration_noise_share(setup, np.array([NOISE_HEIGHT_MM])) * plane.noise
-    pattern = 1e3 * fixed
+    fixed = calibration_noise_share(setup, np.array([NOISE_HEIGHT_MM])) * (calibration_noise(setup) or plane.noise)
 
     def scatter(measurement: float) -> float:
         return 1e3 * float(np.sqrt(shape**2 + measurement**2 + fixed**2))
 
     one = scatter(plane.noise)
     rmse = "root mean square about the best plane"
-    for name, departures, measurement, filter, limit, criterion in (
-        ("raw", raw, plane.noise, "none", 1.223, f"{rmse}, one exposure"),
-        ("two_exposures", two, plane.noise / np.sqrt(2), "mean of two exposures", 1.223, f"{rmse}, two exposures"),
+    for name, departures, measurement, alike, filter, limit, criterion in (
+        ("raw", raw, plane.noise, 1.0, "none", 1.223, f"{rmse}, one exposure"),
+        ("two_exposures", two, plane.noise / np.sqrt(2), 1.0, "mean of two exposures", 1.223, f"{rmse}, two exposures"),
         (
-            "filtered", filtered, plane.filtered_noise, setup.filter_name,
+            "filtered", filtered, plane.filtered_noise, filtered_alike(setup.filter_fwhm_px), setup.filter_name,
             1.223 if setup.believes_stage else FILTERED_LIMIT_UM, f"{rmse}, one exposure",
         ),
     ):  # fmt: skip
@@ -108,7 +106,7 @@ def noise_claims(setup: Setup, plane: PlaneNoise) -> Iterator[Claim]:
             f"plane_rmse_{name}", "plane", 1e3 * rms(departures), "um", count(departures), criterion,
             paper=1.223, limit=limit, filter=filter, alignment="best plane",
             predicted=expected,
-            predicted_sd=float(np.hypot(expected / np.sqrt(2 * count(departures)), _TOLERANCE * pattern**2 / expected)),
+            predicted_sd=expected * float(np.sqrt(alike / (2 * max(count(departures), 1)))),
         )  # fmt: skip
     ratio = 1e3 * rms(raw) / one
     judged = not setup.believes_stage
@@ -118,12 +116,12 @@ def noise_claims(setup: Setup, plane: PlaneNoise) -> Iterator[Claim]:
         limit=NOISE_MODEL_TOLERANCE if judged else None,
         holds=abs(ratio - 1) <= NOISE_MODEL_TOLERANCE if judged else None,
     )  # fmt: skip
-    within = float(np.mean(np.abs(raw[np.isfinite(raw)]) <= 5e-3))
+    within = float(np.mean(np.abs(raw[np.isfinite(raw)]) <= 5e-3)) if count(raw) else np.nan
     expected = float(erf(5 / one / np.sqrt(2)))
     yield setup.claim(
         "plane_within_5um", "plane", within, "1", count(raw), "share of departures within 5 um is at least 0.95",
         limit=0.95, at_least=True, alignment="best plane", predicted=expected,
-        predicted_sd=np.sqrt(expected * (1 - expected) / count(raw)),
+        predicted_sd=np.sqrt(expected * (1 - expected) / max(count(raw), 1)),
     )  # fmt: skip
     yield _line_claim(setup, plane, on_line, float(np.hypot(plane.noise, fixed)))
     yield from _structure_claims(setup, plane, 1e3 * shape)
@@ -134,7 +132,7 @@ def _line_claim(setup: Setup, plane: PlaneNoise, shape: np.ndarray, sigma: float
     line = np.abs(plane.raw[row])
     line = line[np.isfinite(line)]
     return setup.claim(
-        "plane_line_noise", "plane", 1e3 * float(np.percentile(line, 95)), "um", len(line),
+        "plane_line_noise", "plane", 1e3 * percentile(line, 95), "um", len(line),
         f"95 % of the departures along image row {row}", paper=4.0, limit=4.0, alignment="best plane",
         predicted=1e3 * percentile_with_noise(shape, sigma, 0.95),
         predicted_sd=1e3 * quantile_sd(float(np.hypot(sigma, rms(shape))), 0.95, len(line)),
@@ -171,10 +169,21 @@ def _expected_shape(setup: Setup, xy: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return error - plane_terms(field) @ plane, expected_error(setup, height, line)[0] - plane_terms(line) @ plane
 
 
+def filtered_alike(fwhm_px: float) -> float:
+    """How many filtered pixels of white noise tell as much about its variance as one independent value does.
+
+    Under a Gaussian of standard deviation s pixels the noise's autocorrelation is ρ = exp(-r² / 4s²), and a mean of
+    squares has the variance 2σ⁴ / n Σ ρ²: 2π s² times as much as of independent values.
+    """
+    return max(1.0, 2 * np.pi * (fwhm_px / (2 * np.sqrt(2 * np.log(2)))) ** 2)
+
+
 def quantile_sd(sigma: float, share: float, n: int) -> float:
     """Standard deviation of the ``share``-quantile of |x| in a sample of ``n`` normal deviates of ``sigma``.
 
     √(p (1 - p) / n) / f, where f = 2 φ(q / σ) / σ is the density of |x| at the quantile q.
     """
+    if n == 0:
+        return np.nan
     density = 2 * norm.pdf(norm.ppf((1 + share) / 2)) / sigma
     return float(np.sqrt(share * (1 - share) / n) / density)

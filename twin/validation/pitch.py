@@ -9,6 +9,7 @@ from greenough.pipeline.decode import PhaseMap
 from greenough.pipeline.spots import Spots, detect_spots
 
 from .claims import Claim
+from .planes import mean, rms
 from .setup import Setup
 
 SECOND = "pitch_second_board"
@@ -22,6 +23,7 @@ ERROR_MEAN_LIMIT_UM, ERROR_SD_LIMIT_UM = 0.1, 0.3
 """Of distances on a board that the calibration has not seen, against the distances that were printed."""
 
 FILTER = "phase averaged over each spot"
+_REACH = 0.8  # of a spot's half axis, within which its heights are used
 
 
 def pitch_claims(setups: Sequence[Setup]) -> Iterator[Claim]:
@@ -31,11 +33,14 @@ def pitch_claims(setups: Sequence[Setup]) -> Iterator[Claim]:
         phase_map = setups[0].capture()
         spots = detect_spots(phase_map.background, setups[0].calibration.board)
         for setup in setups:
-            yield from board_claims(setup, part, prefix, spot_points(setup, phase_map, spots))
+            noise = distance_noise(setup, phase_map, spots)
+            yield from board_claims(setup, part, prefix, spot_points(setup, phase_map, spots), noise)
 
 
-def board_claims(setup: Setup, part: str, prefix: str, centres: np.ndarray) -> Iterator[Claim]:
+def board_claims(setup: Setup, part: str, prefix: str, centres: np.ndarray, noise: float) -> Iterator[Claim]:
     """Distances of neighbours on one board, whose spots were measured at ``centres`` (spots, 3) mm.
+
+    ``noise`` is the standard deviation in mm that the frames' noise gives to a distance.
 
     On the second board, and by the bundle, they are held to what was printed there.
     """
@@ -49,20 +54,21 @@ def board_claims(setup: Setup, part: str, prefix: str, centres: np.ndarray) -> I
         measured, printed, n = distances[seen], _distances(true, pairs)[seen], int(seen.sum())
         error = measured - printed
         yield setup.claim(
-            f"{prefix}_mean{suffix}", part, float(np.mean(measured)), "mm", n,
+            f"{prefix}_mean{suffix}", part, mean(measured), "mm", n,
             f"within 0.0015 mm of {board.pitch_mm:g} mm", paper=0.6502, limit=0.0015,
-            holds=bool(abs(np.mean(measured) - board.pitch_mm) <= 0.0015), filter=FILTER,
-            predicted=float(np.mean(printed)),
+            holds=abs(mean(measured) - board.pitch_mm) <= 0.0015, filter=FILTER,
+            predicted=mean(printed),
         )  # fmt: skip
         yield setup.claim(
             f"{prefix}_sd{suffix}", part, _sd(measured), "mm", n,
             "standard deviation of single distances, the board's print errors included; predicted from these",
             paper=0.0011, limit=0.0011, filter=FILTER, predicted=_sd(printed),
-            # Errors of sd e that are independent of the print's change its standard deviation by e / sqrt(n).
-            predicted_sd=1e-3 * ERROR_SD_LIMIT_UM / np.sqrt(n),
+            # Errors of sd e that are independent of the print's change its standard deviation by e / sqrt(n). The
+            # calibration's own errors, which are smooth over the field, are left out.
+            predicted_sd=noise / np.sqrt(max(n, 1)),
         )  # fmt: skip
         yield setup.claim(
-            f"{prefix}_error_mean{suffix}", part, 1e3 * float(np.mean(error)), "um", n,
+            f"{prefix}_error_mean{suffix}", part, 1e3 * mean(error), "um", n,
             "mean difference from the true distances of this board", filter=FILTER, limit=mean_limit,
         )  # fmt: skip
         yield setup.claim(
@@ -70,6 +76,19 @@ def board_claims(setup: Setup, part: str, prefix: str, centres: np.ndarray) -> I
             "standard deviation of the differences from the true distances of this board", filter=FILTER,
             limit=sd_limit,
         )  # fmt: skip
+
+
+def distance_noise(setup: Setup, phase_map: PhaseMap, spots: Spots) -> float:
+    """Standard deviation in mm that the frames' noise gives to the distance of two spots, at most.
+
+    √2 times that of one spot: of its centre in the picture, and of the plane through the heights within it, whose value
+    in the middle has the noise of a mean. A distance along a tilted board contains a share of the heights' alone; the
+    whole is reckoned with.
+    """
+    pixel = setup.bench.settings.optics.pupil_distance_mm / setup.calibration.camera.fx
+    height = rms(setup.height_sigma(phase_map)[phase_map.valid])
+    pixels_within = np.pi * (_REACH * np.nanmedian(spots.axes_px)) ** 2
+    return float(np.sqrt(2) * np.hypot(pixel * np.nanmedian(spots.sigma_px), height / np.sqrt(pixels_within)))
 
 
 def spot_points(setup: Setup, phase_map: PhaseMap, spots: Spots) -> np.ndarray:
@@ -81,7 +100,7 @@ def spot_points(setup: Setup, phase_map: PhaseMap, spots: Spots) -> np.ndarray:
     z = setup.calibration.phase_height.height(phase_map.absolute)
     points = np.full((len(spots.seen), 3), np.nan)
     for k in np.flatnonzero(spots.seen):
-        (u, v), reach = spots.centres_px[k], 0.8 * spots.axes_px[k].min()
+        (u, v), reach = spots.centres_px[k], _REACH * spots.axes_px[k].min()
         cols = np.arange(int(np.ceil(u - reach)), int(u + reach) + 1)
         rows = np.arange(int(np.ceil(v - reach)), int(v + reach) + 1)
         du, dv = np.meshgrid(cols - u, rows - v)

@@ -50,6 +50,16 @@ def count(values: np.ndarray) -> int:
     return int(np.isfinite(values).sum())
 
 
+def mean(values: np.ndarray) -> float:
+    """Mean of a sample; NaN of none."""
+    return float(np.mean(values)) if len(values) else np.nan
+
+
 def rms(values: np.ndarray) -> float:
-    """Root mean square of all values but NaN."""
-    return float(np.sqrt(np.nanmean(np.square(values))))
+    """Root mean square of all values but NaN; NaN of none."""
+    return float(np.sqrt(np.nanmean(np.square(values)))) if count(values) else np.nan
+
+
+def percentile(values: np.ndarray, percent: float) -> float:
+    """The ``percent``-quantile of all values but NaN; NaN of none."""
+    return float(np.nanpercentile(values, percent)) if count(values) else np.nan

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from greenough.instrument.contract import Placement
+from greenough.instrument.contract import Frames, Placement
 from greenough.pipeline.acquisition import plane_heights
 from greenough.pipeline.calibration import Calibration
 from greenough.pipeline.decode import PhaseMap, decode
@@ -63,11 +63,17 @@ class Setup:
         self.rig.stage.move_to_mm(position)
         auto_exposure(self.rig)
 
+    def frames(self) -> Frames:
+        """One exposure of every fringe pattern."""
+        return self.rig.capture(self.calibration.fringes.patterns(*self.rig.projector.shape))
+
+    def decoded(self, frames: Frames) -> PhaseMap:
+        """What ``frames`` say about each pixel."""
+        return decode(frames, self.calibration.fringes, self.rig.camera.noise)
+
     def capture(self) -> PhaseMap:
         """One exposure of every fringe pattern, decoded."""
-        fringes = self.calibration.fringes
-        frames = self.rig.capture(fringes.patterns(*self.rig.projector.shape))
-        return decode(frames, fringes, self.rig.camera.noise)
+        return self.decoded(self.frames())
 
     def points(self, phase_map: PhaseMap) -> PointMap:
         """Points without any filter."""

@@ -39,6 +39,7 @@ def analytic() -> Callable[..., Setup]:
             exposures=(16 + 1 + 30) * 24 + 5,
             figures={"method": "paper", "reprojection_rmse_u_px": 0.06, "postures_without_board": ()},
             phase_height=SimpleNamespace(height=lambda phase: phase),
+            residuals=None,
         )
         rig = SimpleNamespace(
             procedure=PROCEDURE,

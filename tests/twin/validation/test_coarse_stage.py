@@ -10,14 +10,19 @@ from greenough.pipeline.phase_height import PhaseHeight
 from greenough.pipeline.rays import rays_of_camera
 from greenough.twin.rig import open as open_twin
 from greenough.twin.scene import axis_frame
-from greenough.twin.validation.coarse_stage import SPECIMEN, coarse_stage_claims, predicted_percentiles, steps
-from greenough.twin.validation.mechanics import systematic_error
-from greenough.twin.validation.volume import VOLUME_HEIGHTS_MM
+from greenough.twin.validation.coarse_stage import (
+    SHARE_LIMIT,
+    SPECIMEN,
+    coarse_stage_claims,
+    independent_errors_share,
+    predicted_percentiles,
+    steps,
+)
 
-# A whole field in pixels of 40 um, and an instrument whose stage is no lucky one.
+# A whole field in pixels of 40 um.
 COARSE = (
     "twin.optics.glass=false", "camera.rows=240", "camera.cols=320", "twin.optics.camera_focal_px=5670.75",
-    "procedure.planes=10", "procedure.plane_step_mm=0.3", "twin.seed=2",
+    "procedure.planes=10", "procedure.plane_step_mm=0.3",
 )  # fmt: skip
 
 
@@ -37,20 +42,34 @@ def paper() -> Calibration:
     )  # fmt: skip
 
 
-def test_a_coarse_stage_errs_as_predicted_and_by_more_than_the_limit(paper):
-    """Errors of some 10 um are predicted to what the grid of places, the picture's rim and coarse pixels leave open."""
+def test_a_coarse_stage_errs_as_predicted_and_most_such_stages_by_more_than_the_limit(paper):
+    """Errors of many um are predicted to what the grid of places, the picture's rim and coarse pixels leave open."""
     done = []
     rows = {row.claim: row for row in coarse_stage_claims("twin", COARSE, paper, done.append)}
-    rig, bench = open_twin("twin", COARSE)
+    rig, _ = open_twin("twin", COARSE)
     assert sum(done) == steps(rig)
-    default = 1e3 * np.percentile(np.abs(systematic_error(bench, plane_heights(rig), np.array(VOLUME_HEIGHTS_MM))), 95)
-    assert rows["depth_p95_volume"].predicted > 2 * default  # three times the errors of the default stage
     assert {row.specimen for row in rows.values()} == {SPECIMEN}
     assert {row.calibration for row in rows.values()} == {"paper"}
     for name in ("depth_p95_volume", "depth_tilted_p95", "depth_systematic_rms", "depth_tilted_systematic_rms"):
-        row = rows[name]
-        assert row.holds is row.expected_to_hold is False
-        assert row.measured == pytest.approx(row.predicted, rel=0.15), name
+        assert rows[name].measured == pytest.approx(rows[name].predicted, rel=0.15), name
+    share, median = rows["stages_within_4um"], rows["stages_median_p95"]
+    assert (share.limit, share.holds, share.expected_to_hold) == (SHARE_LIMIT, False, False)
+    assert "without frames" in share.criterion
+    assert median.measured > 4.0
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_the_share_of_stages_that_keep_the_limit_is_a_negative_control(seed):
+    """At a true share of a half, 38 or more of 40 keep the limit in 1 of 10^9 draws."""
+    settings = [*COARSE, f"twin.seed={seed}", "twin.stage.position_sd_um=10"]
+    rig, _ = open_twin("twin", settings)
+    others = np.array(list(predicted_percentiles("twin", settings, plane_heights(rig))))
+    assert np.mean(others <= 4.0) < SHARE_LIMIT
+    assert np.median(others) > 4.0
+    # Pitch, roll and bow make it less: not more than the simple model's share and four deviations of 40 draws.
+    simple = independent_errors_share(plane_heights(rig))
+    assert 0 < simple < 0.5
+    assert np.mean(others <= 4.0) < simple + 4 * np.sqrt(simple * (1 - simple) / len(others))
 
 
 def test_few_stages_of_10_um_keep_the_limit_and_all_exact_ones_do():

@@ -1,5 +1,7 @@
 """Claims about what stage and board as built do to heights: shapes that a fit per place takes for flat."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,7 @@ from greenough.twin.settings import StabilitySettings, TwinSettings
 from greenough.twin.validation.mechanics import (
     Drift,
     calibration_drift,
+    calibration_noise,
     calibration_noise_share,
     expected_error,
     field_grid,
@@ -88,27 +91,64 @@ def test_chance_is_the_drift_of_the_paths_seen_as_height(analytic):
     """0.05 um sideways are 0.239 um of height under 12 degrees: known to 7 % from 100 draws, to 25 % here. Where the
     heights are counted from, the calibration's drift has gone one step of 46 only."""
     settings = TwinSettings(seed=5, stability=StabilitySettings(path_drift_um=0.05))
-    own = left_to_chance(analytic(method="bundle", settings=settings), np.zeros((1, 2)))
+    own = left_to_chance(analytic(method="bundle", settings=settings), np.zeros((1, 2)), 46 * 24)
     whole = 0.05e-3 / (2 * np.sin(np.radians(6)))
     assert own.std() == pytest.approx(whole, rel=0.25)
-    both = left_to_chance(analytic(settings=settings), np.zeros((1, 2)))
+    both = left_to_chance(analytic(settings=settings), np.zeros((1, 2)), 46 * 24)
     assert 0 < (both - own).std() < 2 * whole / np.sqrt(46)
     assert np.ptp(both, axis=2).max() < 1e-15
-    assert left_to_chance(analytic(), np.zeros((1, 2))).std() == 0
+    assert left_to_chance(analytic(), np.zeros((1, 2)), 46 * 24).std() == 0
+
+
+def test_heights_early_in_their_run_have_drifted_less_and_lie_on_one_walk(analytic):
+    """Standard deviations of 100 draws, each known to 7 %."""
+    settings = TwinSettings(seed=5, stability=StabilitySettings(path_drift_um=0.05))
+    setup, whole = analytic(method="bundle", settings=settings), 0.05e-3 / (2 * np.sin(np.radians(6)))
+    first, early, late = (left_to_chance(setup, np.zeros((1, 1)), n * 24)[:, 0, 0] for n in (0, 9, 13))
+    assert np.abs(first).max() == 0
+    assert early.std() == pytest.approx(whole * np.sqrt(9 / 46), rel=0.3)
+    assert (late - early).std() == pytest.approx(whole * np.sqrt(4 / 46), rel=0.3)
+
+
+def test_heights_are_counted_from_the_field_whichever_places_are_asked_for(analytic):
+    """The pipeline's zero is one mean over the blank side at 0: for a bow over the field, not that of the corner."""
+
+    def bowed(reading: float, xy: np.ndarray) -> np.ndarray:
+        return reading + 1e-3 * xy[:, 0] ** 2
+
+    bench = analytic(blank_face_height=lambda z, xy: bowed(z, xy) + (z > -0.07) * (z < 0.03) * 1e-4 * xy[:, 1]).bench
+    everywhere = systematic_error(bench, READINGS, HEIGHTS)
+    corner = field_grid()[-5:]
+    np.testing.assert_allclose(systematic_error(bench, READINGS, HEIGHTS, corner), everywhere[:, -5:], atol=1e-12)
+    assert systematic_error(bench, READINGS, HEIGHTS, corner[:0]).shape == (3, 0)
+
+
+def test_noise_of_the_calibration_s_planes_is_told_from_the_stage(analytic):
+    """Cubics through 30 planes with noise of 1.8 um and 3 um of the stage, which is common to all pixels."""
+    rng, planes = np.random.default_rng(4), READINGS
+    powers = np.vander(planes, 4)
+    stage = rng.normal(0, 3.0, 30)
+    z = stage[:, None] + rng.normal(0, 1.8, (30, 80 * 256))
+    left = (z - powers @ np.linalg.lstsq(powers, z, rcond=None)[0]).astype(np.float32)
+    setup = analytic()
+    assert calibration_noise(setup) is None
+    blocks = left.reshape(30, 8, 10, 256).mean(axis=-1)
+    setup.calibration.residuals = SimpleNamespace(pixels_um=np.sqrt(np.mean(left**2, axis=0)), planes_um=blocks)
+    assert calibration_noise(setup) == pytest.approx(1.8e-3, rel=0.01)
 
 
 def test_a_drift_of_the_paths_during_the_planes_tilts_the_scale_of_depth_by_the_paper_s_method(analytic):
     """Beside random walks that are fitted here in another way: two standard deviations that are each known to 7 %."""
     settings = TwinSettings(seed=5, stability=StabilitySettings(path_drift_um=0.05))
     heights = np.array([[-1.25], [1.25]])
-    low, high = left_to_chance(analytic(settings=settings), heights)[..., 0].T
+    low, high = left_to_chance(analytic(settings=settings), heights, 0)[..., 0].T
     rng, step = np.random.default_rng(9), 0.05e-3 / (2 * np.sin(np.radians(6))) / np.sqrt(46)
     steps = []
     for _ in range(100):
         fit = np.polynomial.Polynomial.fit(READINGS, READINGS - np.cumsum(rng.normal(0, step, 30)), 3)
         steps.append(fit(1.25) - fit(-1.25))
     assert np.std(high - low) == pytest.approx(np.std(steps), rel=0.45)
-    bundle = left_to_chance(analytic(method="bundle", settings=settings), heights)[..., 0]
+    bundle = left_to_chance(analytic(method="bundle", settings=settings), heights, 5 * 24)[..., 0]
     assert np.ptp(bundle, axis=1).max() == 0
 
 
@@ -141,9 +181,8 @@ def test_where_fewer_planes_are_seen_their_errors_count_for_more(analytic):
     heights = np.full((1, 2), -1.0)
     everything, lower = [[-1.45, 1.45], [-1.45, 0.15]]
     error = expected_error(setup, heights, np.zeros((2, 2)), np.array([everything, lower]))[0]
-    # Both are counted from the mean of what they make of the blank side at 0.
     whole = expected_error(setup, heights, np.zeros((2, 2)))[0]
     assert whole[0] == whole[1]
     assert abs(error[0] - error[1]) > 0.1e-3
     alone = expected_error(setup, heights[:, :1], np.zeros((1, 2)), np.array([lower]))
-    np.testing.assert_allclose(alone, 0, atol=1e-9)
+    assert alone[0, 0] == error[1]

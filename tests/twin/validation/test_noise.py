@@ -1,9 +1,19 @@
 """Claims about the scatter of a plane's points, on noise whose size is known."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
-from greenough.twin.validation.noise import PAPER_LINE, PlaneNoise, noise_claims, paper_line, quantile_sd
+from greenough.twin.validation.noise import (
+    PAPER_LINE,
+    PlaneNoise,
+    filtered_alike,
+    noise_claims,
+    paper_line,
+    quantile_sd,
+)
 
 SHAPE = (160, 208)
 
@@ -81,6 +91,39 @@ def test_a_bowed_blank_side_is_predicted_in_the_field_and_on_the_line(analytic):
     line = rows["plane_line_noise"]
     offset = abs(places()[paper_line(SHAPE[0]), 0, 1] ** 2 - 3)
     assert 1.64 * 2.07 < line.predicted - offset < 1.96 * 2.07 + 0.1
+
+
+def test_filtered_neighbours_are_alike():
+    """RMS of 400 filtered pictures of 96 x 96 px, whose standard deviation is known to 3.5 %."""
+    sigma_px = 1.83
+    noise = np.random.default_rng(6).normal(size=(400, 96, 96))
+    found = [np.sqrt(np.mean(gaussian_filter(picture, sigma_px, mode="wrap") ** 2)) for picture in noise]
+    alike = filtered_alike(2.3548 * sigma_px)
+    assert np.std(found) / np.mean(found) == pytest.approx(np.sqrt(alike / (2 * 96 * 96)), rel=0.15)
+
+
+def test_the_filtered_row_states_the_spread_of_as_many_values_as_are_independent(analytic):
+    setup = analytic(method="bundle")
+    row = rows_of(setup, plane())["plane_rmse_filtered"]
+    alike = 2 * np.pi * (setup.filter_fwhm_px / 2.3548) ** 2
+    assert row.predicted_sd == pytest.approx(row.predicted * np.sqrt(alike / (2 * row.n)), rel=1e-3)
+
+
+def test_the_calibration_s_own_noise_is_what_its_residuals_say(analytic):
+    """Twice the noise of the exposure: 0.27 of it are left in every point."""
+    setup, share = analytic(), np.sqrt(26 / 30)
+    setup.calibration.residuals = SimpleNamespace(pixels_um=np.full((4, 4), 4 * share), planes_um=np.zeros((30, 2, 2)))
+    assert rows_of(setup, plane())["plane_rmse_raw"].predicted == pytest.approx(np.hypot(2, 0.27 * 4), rel=0.01)
+
+
+@pytest.mark.parametrize("method", ["bundle", "paper"])
+def test_a_plane_without_a_point_gives_rows_without_figures_that_do_not_hold(analytic, method):
+    nothing = np.full(SHAPE, np.nan)
+    found = PlaneNoise(*(nothing,) * 4, np.nan, np.nan, np.stack([nothing] * 2, axis=-1))
+    for row in rows_of(analytic(method=method), found).values():
+        assert np.isnan(row.measured)
+        assert not row.holds
+        assert row.expected_to_hold is not False
 
 
 def test_spread_of_a_quantile_is_that_of_samples():

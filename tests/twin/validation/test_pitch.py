@@ -15,6 +15,7 @@ from greenough.twin.validation.pitch import (
     SECOND,
     all_pairs,
     board_claims,
+    distance_noise,
     paper_pairs,
     spot_points,
 )
@@ -53,7 +54,7 @@ def test_the_second_board_is_judged_by_its_own_print(analytic, error_um, scale, 
     specimen = SimpleNamespace(as_built={"centres_mm": printed})
     for method in ("bundle", "paper"):
         setup = analytic(method=method, specimen=specimen)
-        rows = {row.claim: row for row in board_claims(setup, "second-board", SECOND, measured)}
+        rows = {row.claim: row for row in board_claims(setup, "second-board", SECOND, measured, 1.4e-4)}
         for suffix in ("", "_all_spots"):
             mean, sd = (rows[f"{SECOND}_error_{name}{suffix}"] for name in ("mean", "sd"))
             if method == "paper":
@@ -73,10 +74,34 @@ def test_the_second_board_is_judged_by_its_own_print(analytic, error_um, scale, 
 def test_spread_of_distances_is_predicted_from_the_print(analytic):
     printed, measured = printed_and_measured(analytic().calibration.board, 0.1, 1.0)
     setup = analytic(specimen=SimpleNamespace(as_built={"centres_mm": printed}))
-    for row in board_claims(setup, "second-board", SECOND, measured):
+    for row in board_claims(setup, "second-board", SECOND, measured, np.sqrt(2) * 0.1e-3):
         if row.claim.endswith(("_sd", "_sd_all_spots")) and "error" not in row.claim:
             assert row.measured == pytest.approx(row.predicted, abs=4 * row.predicted_sd)
             assert row.predicted == pytest.approx(np.sqrt(2) * 0.6e-3, rel=0.3)
+
+
+def test_noise_of_a_distance_is_that_of_both_spots_and_no_limit(analytic):
+    """Centres to 0.01 px of 9.9 um, and heights of 1.6 um in discs of 0.8 * 20 px: 0.099 and 0.056 um a spot."""
+    image = np.zeros((960, 1280))
+    phase_map = PhaseMap(image, image, image, image == 0, image, np.full(image.shape, 1.6e-3))
+    spots = Spots(np.zeros((99, 2)), np.full((99, 2), 20.0), np.full(99, 0.01))
+    setup = analytic()
+    noise = 1e3 * distance_noise(setup, phase_map, spots)
+    assert noise == pytest.approx(np.sqrt(2) * np.hypot(0.099, 0.0564), rel=0.01)
+    rows = board_claims(
+        analytic(specimen=SimpleNamespace(as_built={"centres_mm": np.zeros((99, 3))})), "board", "pitch",
+        np.random.default_rng(1).normal(size=(99, 3)), 1e-3 * noise,
+    )  # fmt: skip
+    (row,) = (row for row in rows if row.claim == "pitch_sd")
+    assert row.predicted_sd == pytest.approx(1e-3 * noise / np.sqrt(58))
+
+
+def test_rows_of_a_board_whose_spots_were_not_seen_have_no_figure_and_do_not_hold(analytic):
+    setup = analytic(method="bundle", specimen=SimpleNamespace(as_built={"centres_mm": np.zeros((99, 3))}))
+    for row in board_claims(setup, "second-board", SECOND, np.full((99, 3), np.nan), 1e-4):
+        assert np.isnan(row.measured)
+        assert not row.holds
+        assert row.n == 0
 
 
 def test_spots_of_a_tilted_board_are_found_where_they_are(analytic):

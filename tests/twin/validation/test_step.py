@@ -18,8 +18,11 @@ class SteppingSetup(Setup):
     def place(self, placement, position=0.0):
         pass
 
-    def capture(self):
-        return self.rig.stage.reading
+    def frames(self):
+        return SimpleNamespace(serials=[0])
+
+    def decoded(self, frames):
+        return None
 
     def points(self, phase_map):
         height = self.bench.world_from_part[2, 3]

@@ -1,11 +1,13 @@
 """Claims about the volume, on planes whose errors are known."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from greenough.pipeline.decode import PhaseMap
 from greenough.pipeline.reconstruct import PointMap
 from greenough.twin.validation import volume as volume_module
 from greenough.twin.validation.mechanics import calibration_noise_share
@@ -14,6 +16,7 @@ from greenough.twin.validation.volume import (
     MeasuredPlane,
     _block_means,
     measure_volume,
+    share_lost,
     volume_claims,
     without_motion,
 )
@@ -46,6 +49,7 @@ def plane(world_from_plane: np.ndarray, error=lambda xyz: np.zeros(xyz.shape[:2]
         span=np.array([[-4.0, -3.0], [4.0, 3.0]]),
         noise=1.6e-3,
         filtered_noise=1.6e-3,
+        exposures=0,
     )
 
 
@@ -65,9 +69,10 @@ def test_planes_beyond_the_calibrated_heights_are_left_out_and_named_by_their_ow
         rig=SimpleNamespace(stage=stage),
         filter_fwhm_px=1.0,
         place=lambda placement, position=0.0: stage.move_to_mm(position),
-        capture=lambda: stage.position_mm,
-        points=lambda height: SimpleNamespace(valid=np.array([abs(height) < 1.45])),
+        frames=lambda: SimpleNamespace(serials=[0]),
+        decoded=lambda frames: stage.position_mm,
     )
+    monkeypatch.setattr(volume_module, "share_lost", lambda setup, height: 0.02 if abs(height) > 1.45 else 0.005)
     monkeypatch.setattr(volume_module, "filter_phasors", lambda phase_map, fwhm_px: phase_map)
     monkeypatch.setattr(volume_module, "_measured", lambda setup, placement, *maps: (placement, stage.position_mm))
     (found,) = measure_volume([double], lambda steps: None)
@@ -77,6 +82,64 @@ def test_planes_beyond_the_calibrated_heights_are_left_out_and_named_by_their_ow
     rows = rows_of(analytic(), planes)
     assert {name for name in rows if name.startswith("depth_bias_at")} == {f"depth_bias_at_{z:+.1f}mm" for z in flat}
     assert not rows["z_range"].holds
+    assert "-1.00, -0.50, +0.00, +0.50, +1.00 mm" in rows["depth_p95_volume"].criterion
+    assert "8 measured" in rows["depth_systematic_p99"].criterion
+    for name in ("depth_p95_volume", "depth_systematic_rms", "depth_tilted_systematic_p99"):
+        assert np.isnan(rows[name].measured)
+        assert (rows[name].holds, rows[name].expected_to_hold) == (False, True)
+    assert rows["depth_tilted_p95"].holds
+
+
+def test_without_any_plane_no_row_has_a_figure_and_none_holds(analytic):
+    for method in ("bundle", "paper"):
+        rows = rows_of(analytic(method=method), [])
+        assert all(np.isnan(row.measured) and not row.holds for row in rows.values())
+        assert {"depth_p95_volume", "depth_systematic_p99", "volume_x", "z_range"} <= rows.keys()
+
+
+def test_planes_without_a_whole_block_are_predicted_nothing(analytic):
+    planes = [replace(plane, blocks=np.empty((0, 6))) for plane in volume(lambda xyz: np.zeros(xyz.shape[:2]))]
+    rows = rows_of(analytic(), planes)
+    assert np.isnan(rows["depth_systematic_p99"].measured)
+    assert rows["depth_p95_volume"].predicted is None
+
+
+@pytest.mark.parametrize(("height", "error", "lost"), [(1.48, 0.01, 0.0), (1.48, 0.03, 0.25), (1.46, 0.03, 0.0)])
+def test_points_are_lost_where_the_error_leads_out_of_the_calibrated_heights(analytic, height, error, lost):
+    """Known are -1.45 to 1.45 mm and half a step of 0.1 mm; a quarter of the field errs upwards, an eighth is dark,
+    and an eighth knows the lower half alone, where no error counts."""
+    z = np.full((16, 16), height)
+    z[:, :4] += error
+    valid = np.ones(z.shape, bool)
+    valid[:, 12:14] = False
+    valid[:, :4] = True
+    known = np.full((16, 16, 2), [-1.45, 1.45])
+    known[:, 14:, 1] = 0.0
+    setup = analytic(motion(height))
+    image = np.zeros(z.shape)
+
+    def rays(z: np.ndarray) -> np.ndarray:
+        return np.stack([image, image, z], axis=-1)
+
+    setup.calibration.rays = SimpleNamespace(points=rays)
+    setup.calibration.check_shape = lambda shape: None
+    setup.calibration.phase_height = SimpleNamespace(
+        height=lambda phase: phase,
+        z_range=known,
+        covers=lambda phase, margin_mm: (phase > known[..., 0] - margin_mm) & (phase < known[..., 1] + margin_mm),
+    )
+    found = share_lost(setup, PhaseMap(z, image, image, valid, image, image))
+    assert found == pytest.approx(lost * 16 / 12)
+    assert share_lost(setup, PhaseMap(z, image, image, image > 0, image, image)) == 1
+
+
+def test_noise_that_blocks_leave_is_predicted_too(analytic):
+    """On a perfect stage all there is: 1.6 um / 16, and 2.58 times that for 99 %."""
+    setup = analytic()
+    rows = rows_of(setup, volume(lambda xyz: np.zeros(xyz.shape[:2])))
+    noise = 0.1 * np.hypot(1, calibration_noise_share(setup, np.array([*VOLUME_HEIGHTS_MM, 0, 0, 0])))
+    assert rows["depth_systematic_rms"].predicted == pytest.approx(noise, rel=0.01)
+    assert rows["depth_systematic_p99"].predicted == pytest.approx(2.576 * noise, rel=0.1)
 
 
 def test_places_and_slope_are_those_of_the_true_plane():

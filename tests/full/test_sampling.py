@@ -51,7 +51,8 @@ def rendered(rig: gt.TwinRig, patterns: np.ndarray, crop: Crop, seed: int = 0, *
     scene["sensor"] = scene["sensor"] | {"film": scene["sensor"]["film"] | film}
     if "nodes" in integrator:
         for lens in ("sensor", "projector"):
-            scene[lens] = scene[lens] | {"pupil_nodes": integrator["nodes"]}
+            if "prescription" in scene[lens]:
+                scene[lens] = scene[lens] | {"pupil_nodes": integrator["nodes"]}
         for name in ("node_table", "edge_table"):
             scene["integrator"].pop(name, None)
     scene["integrator"] = scene["integrator"] | integrator

@@ -28,12 +28,14 @@ _REACH = 0.8  # of a spot's half axis, within which its heights are used
 
 def pitch_claims(setups: Sequence[Setup]) -> Iterator[Claim]:
     """Distances on both boards, each held in a new posture, by every calibration."""
+    # A calibration that estimates the spots leaves their centres' scatter; one that does not, the board's print errors.
+    centre_px = min(rms(np.array([s.calibration.figures[f"reprojection_rmse_{a}_px"] for a in "uv"])) for s in setups)
     for part, prefix in (("board", "pitch"), ("second-board", SECOND)):
         setups[0].place(Placement(part, posture=POSTURE))
         phase_map = setups[0].capture()
         spots = detect_spots(phase_map.background, setups[0].calibration.board)
         for setup in setups:
-            noise = distance_noise(setup, phase_map, spots)
+            noise = distance_noise(setup, phase_map, spots, centre_px)
             yield from board_claims(setup, part, prefix, spot_points(setup, phase_map, spots), noise)
 
 
@@ -78,17 +80,17 @@ def board_claims(setup: Setup, part: str, prefix: str, centres: np.ndarray, nois
         )  # fmt: skip
 
 
-def distance_noise(setup: Setup, phase_map: PhaseMap, spots: Spots) -> float:
+def distance_noise(setup: Setup, phase_map: PhaseMap, spots: Spots, centre_px: float) -> float:
     """Standard deviation in mm that the frames' noise gives to the distance of two spots, at most.
 
-    √2 times that of one spot: of its centre in the picture, and of the plane through the heights within it, whose value
-    in the middle has the noise of a mean. A distance along a tilted board contains a share of the heights' alone; the
-    whole is reckoned with.
+    √2 times that of one spot: of its centre in the picture, ``centre_px``, and of the plane through the heights within
+    it, whose value in the middle has the noise of a mean. A distance along a tilted board contains a share of the
+    heights' alone; the whole is reckoned with.
     """
     pixel = setup.bench.settings.optics.pupil_distance_mm / setup.calibration.camera.fx
     height = rms(setup.height_sigma(phase_map)[phase_map.valid])
     pixels_within = np.pi * (_REACH * np.nanmedian(spots.axes_px)) ** 2
-    return float(np.sqrt(2) * np.hypot(pixel * np.nanmedian(spots.sigma_px), height / np.sqrt(pixels_within)))
+    return float(np.sqrt(2) * np.hypot(pixel * centre_px, height / np.sqrt(pixels_within)))
 
 
 def spot_points(setup: Setup, phase_map: PhaseMap, spots: Spots) -> np.ndarray:

@@ -86,7 +86,7 @@ def test_noise_of_a_distance_is_that_of_both_spots_and_no_limit(analytic):
     phase_map = PhaseMap(image, image, image, image == 0, image, np.full(image.shape, 1.6e-3))
     spots = Spots(np.zeros((99, 2)), np.full((99, 2), 20.0), np.full(99, 0.01))
     setup = analytic()
-    noise = 1e3 * distance_noise(setup, phase_map, spots)
+    noise = 1e3 * distance_noise(setup, phase_map, spots, 0.01)
     assert noise == pytest.approx(np.sqrt(2) * np.hypot(0.099, 0.0564), rel=0.01)
     rows = board_claims(
         analytic(specimen=SimpleNamespace(as_built={"centres_mm": np.zeros((99, 3))})), "board", "pitch",

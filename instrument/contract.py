@@ -4,6 +4,7 @@ The pipeline is written against this module alone. Lengths are mm and times s un
 """
 
 from dataclasses import dataclass, field
+from types import TracebackType
 from typing import Literal, Protocol, Self
 
 import numpy as np
@@ -227,4 +228,6 @@ class Rig(Protocol):
 
     def __enter__(self) -> Self: ...
 
-    def __exit__(self, *exc: object) -> None: ...
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None, /
+    ) -> None: ...

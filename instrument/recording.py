@@ -7,6 +7,7 @@ exception; otherwise nothing is left. Captures are written one by one as they co
 
 from contextlib import ExitStack
 from pathlib import Path
+from types import TracebackType
 from typing import Self
 
 import h5py
@@ -162,11 +163,13 @@ class _RecordedRig:
             self._open = stack.pop_all()
         return self
 
-    def __exit__(self, *exc: object) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
         tape, self._tape = self.tape, None
-        if exc[0] is None:
+        if kind is None:
             self._open.callback(tape.finish)
-        self._open.__exit__(*exc)  # type: ignore[arg-type]  the contract's __exit__ takes any three objects
+        self._open.__exit__(kind, error, traceback)
 
 
 class _RecordedCamera:

@@ -10,17 +10,12 @@ import numpy as np
 
 from greenough.instrument.contract import CameraNoise, Frames
 from greenough.instrument.errors import InputError
-from greenough.instrument.llvm import ensure_llvm
 
 from .fringes import FringeSet
 from .grey_variance import GreyVariance, camera_variance, estimate_variance
+from .jit import Bool, Float, UInt8, dr
 from .phase_shifting import estimate_phasor
 from .unwrap import RESIDUAL_LIMIT, order_is_safe, unwrap
-
-ensure_llvm()  # Dr.Jit looks for LLVM while it is imported
-
-import drjit as dr  # noqa: E402  must follow ensure_llvm
-from drjit.llvm import Bool, Float, UInt8  # noqa: E402  must follow ensure_llvm
 
 
 @dataclass(frozen=True)

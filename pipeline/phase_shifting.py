@@ -33,12 +33,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import cos, pi, sin
 
-from greenough.instrument.llvm import ensure_llvm
-
-ensure_llvm()  # Dr.Jit looks for LLVM while it is imported
-
-import drjit as dr  # noqa: E402  must follow ensure_llvm
-from drjit.llvm import Complex2f, Float  # noqa: E402  must follow ensure_llvm
+from .jit import Complex2f, Float, dr
 
 _LEAST = 1e-20  # DN; keeps black pixels of perfect frames from dividing zero by zero
 

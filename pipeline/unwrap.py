@@ -20,14 +20,8 @@ from dataclasses import dataclass
 from math import log, pi
 from statistics import NormalDist
 
-from greenough.instrument.llvm import ensure_llvm
-
 from .fringes import FringeSet
-
-ensure_llvm()  # Dr.Jit looks for LLVM while it is imported
-
-import drjit as dr  # noqa: E402  must follow ensure_llvm
-from drjit.llvm import Bool, Float  # noqa: E402  must follow ensure_llvm
+from .jit import Bool, Float, dr
 
 ERROR_PROBABILITY = 1e-6
 """Accepted probability, per pixel, of a wrong fringe order."""

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import norm, poisson
 
+from greenough.pipeline.jit import Float
 from greenough.pipeline.phase_shifting import estimate_phasor, highest_harmonic
-
-from drjit.llvm import Float  # isort: skip  (phase_shifting has found the LLVM library)
 
 PER_DN_E, READ_E, BLACK_DN = 25.9, 10.0, 4.0
 AT_BLACK_DN2, VARIANCE_PER_DN = (READ_E / PER_DN_E) ** 2 + 1 / 12, 1 / PER_DN_E

@@ -7,9 +7,8 @@ from hypothesis import strategies as st
 from scipy.stats import norm
 
 from greenough.pipeline.fringes import PAPER, FringeSet
+from greenough.pipeline.jit import Float
 from greenough.pipeline.unwrap import order_is_safe, unwrap
-
-from drjit.llvm import Float  # isort: skip  (unwrap has found the LLVM library)
 
 
 def unwrapped(wrapped, variance, fringes):

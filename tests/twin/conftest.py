@@ -32,6 +32,13 @@ PERFECT = (
     "twin.board.wedge_sd_urad=0",
     "twin.board.ink_thickness_um=0",
 )
+NOISELESS = (
+    "camera.bits=0",
+    "twin.camera.shot_noise=false",
+    "twin.camera.read_noise_e=0",
+    "twin.camera.prnu=0",
+    "twin.camera.dsnu_e=0",
+)
 PINHOLES = ("twin.optics.finite_aperture=false", "twin.optics.camera_diffraction=false")
 
 Opener = Callable[..., tuple[gt.TwinRig, gt.Bench]]
@@ -41,14 +48,20 @@ Opener = Callable[..., tuple[gt.TwinRig, gt.Bench]]
 def small() -> Opener:
     """Opens a twin of 60 x 80 pixels with ideal lenses that does not change with time.
 
-    ``perfect`` switches off mechanical errors, ``pinholes`` all blur of lenses.
+    ``perfect`` switches off mechanical errors, ``noiseless`` those of the camera, ``pinholes`` all blur of lenses.
     """
 
     def opened(
-        *overrides: str, perfect: bool = False, pinholes: bool = False, run: str = "test", exposures_done: int = 0
+        *overrides: str,
+        perfect: bool = False,
+        noiseless: bool = False,
+        pinholes: bool = False,
+        run: str = "test",
+        exposures_done: int = 0,
     ) -> tuple[gt.TwinRig, gt.Bench]:
-        chosen = [*SMALL, *STABLE, *(PERFECT if perfect else ()), *(PINHOLES if pinholes else ()), *overrides]
-        return gt.open("twin", chosen, run=run, exposures_done=exposures_done)
+        off = ((perfect, PERFECT), (noiseless, NOISELESS), (pinholes, PINHOLES))
+        chosen = [*SMALL, *STABLE, *(setting for asked, settings in off if asked for setting in settings)]
+        return gt.open("twin", [*chosen, *overrides], run=run, exposures_done=exposures_done)
 
     return opened
 

@@ -11,13 +11,6 @@ from greenough.twin.renderer import mi
 from greenough.twin.rig import TwinRig, fringe_patterns
 from greenough.twin.settings import OpticsSettings, StabilitySettings
 
-NOISELESS = (
-    "camera.bits=0",
-    "twin.camera.shot_noise=false",
-    "twin.camera.read_noise_e=0",
-    "twin.camera.prnu=0",
-    "twin.camera.dsnu_e=0",
-)
 FINE = ("camera.rows=40", "camera.cols=60", "twin.optics.camera_focal_px=22683")  # the middle, in real pixels
 STEPS, PERIOD = 12, 12.0
 FALSE_ALARM = 1e-3
@@ -41,7 +34,7 @@ def phase(rig: TwinRig) -> np.ndarray:
 
 
 def mounted(small, *overrides: str, part: str = "plane") -> TwinRig:
-    rig, _ = small(*FINE, *NOISELESS, *overrides, perfect=True)
+    rig, _ = small(*FINE, *overrides, perfect=True, noiseless=True)
     rig.operator.place(Placement(part))
     rig.camera.exposure_us = 50_000
     return rig
@@ -98,7 +91,7 @@ def test_drifts_reach_their_size_after_a_calibration():
 
 
 def test_the_table_drifts_away_under_the_microscope(small):
-    rig, bench = small(*FINE, *NOISELESS, "twin.stability.table_drift_um=20", perfect=True, exposures_done=500)
+    rig, bench = small(*FINE, "twin.stability.table_drift_um=20", perfect=True, noiseless=True, exposures_done=500)
     rig.operator.place(Placement("plane"))
     rig.capture(fringe_patterns(rig)[:1])
     drift = changes(table_drift_um=20).table_drift(500)
@@ -107,7 +100,7 @@ def test_the_table_drifts_away_under_the_microscope(small):
 
 
 def test_the_paths_drift_apart(small):
-    rig, _ = small(*FINE, *NOISELESS, "twin.stability.path_drift_um=3.0", perfect=True, exposures_done=700)
+    rig, _ = small(*FINE, "twin.stability.path_drift_um=3.0", perfect=True, noiseless=True, exposures_done=700)
     rig.operator.place(Placement("plane"))
     rig.camera.exposure_us = 50_000
     turned = np.angle(np.exp(1j * (phase(rig) - phase(mounted(small)))))
@@ -121,7 +114,7 @@ def test_the_paths_drift_apart(small):
 def test_a_resumed_run_drifts_on(small):
     pictures = []
     for before in (0, 2):
-        rig, _ = small(*FINE, *NOISELESS, "twin.stability.table_drift_um=50", perfect=True, exposures_done=before)
+        rig, _ = small(*FINE, "twin.stability.table_drift_um=50", perfect=True, noiseless=True, exposures_done=before)
         rig.operator.place(Placement("plane"))
         for patterns in np.split(fringe_patterns(rig)[:4], 2)[before // 2 :]:
             last = rig.capture(patterns).stack

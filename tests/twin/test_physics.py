@@ -22,14 +22,6 @@ from greenough.twin.scene import specimen_dict
 from greenough.twin.settings import RenderSettings, StageSettings
 from greenough.twin.stage import build_stage
 
-IDEAL = "twin.optics.glass=false"
-NOISELESS = (
-    "camera.bits=0",
-    "twin.camera.shot_noise=false",
-    "twin.camera.read_noise_e=0",
-    "twin.camera.prnu=0",
-    "twin.camera.dsnu_e=0",
-)
 PIXEL = 224.56 / 22683  # mm at the specimen
 NA, WAVELENGTH = 0.015, 0.525e-3
 HALF_ANGLE = np.radians(6)
@@ -45,9 +37,11 @@ def middle(rows: int, cols: int) -> tuple[str, ...]:
     return f"camera.rows={rows}", f"camera.cols={cols}", "twin.optics.camera_focal_px=22683"
 
 
-def mounted(small, *overrides: str, part: str | Placement = "plane", size=(24, 36), z: float = 0.0) -> TwinRig:
+def mounted(
+    small, *overrides: str, part: str | Placement = "plane", size=(24, 36), z: float = 0.0, noiseless: bool = False
+) -> TwinRig:
     """A rig with ideal lenses and no mechanical errors but those of ``overrides``, looking at ``part``."""
-    rig, _ = small(*middle(*size), IDEAL, *overrides, perfect=True)
+    rig, _ = small(*middle(*size), *overrides, perfect=True, noiseless=noiseless)
     rig.operator.place(Placement(part) if isinstance(part, str) else part)
     rig.stage.move_to_mm(z)
     return rig
@@ -229,7 +223,7 @@ def test_electrons_are_the_share_of_photons_that_is_counted_and_their_variance_t
 def test_a_sensors_responsivities_scatter_a_flat_frame(small):
     """The relative variance over the pixels is that of their responsivity; chance refuses once in a thousand times."""
     prnu = 0.02
-    flat = [mounted(small, *NOISELESS, f"twin.camera.prnu={size}", size=(60, 90)) for size in (prnu, 0)]
+    flat = [mounted(small, f"twin.camera.prnu={size}", size=(60, 90), noiseless=True) for size in (prnu, 0)]
     white = np.full((1, *flat[0].projector.shape), 255, np.uint8)
     scattered, even = (rig.capture(white).stack[0] - rig.camera.black_level_dn for rig in flat)
     low, high = chi2.ppf([5e-4, 1 - 5e-4], even.size - 1) / even.size

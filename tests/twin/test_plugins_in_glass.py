@@ -5,7 +5,6 @@ import pytest
 from numpy.polynomial.hermite_e import hermegauss
 from scipy.ndimage import binary_erosion
 
-import greenough.twin.plugins  # noqa: F401  registers the names used below
 from greenough.twin.glass.as_built import Tolerances, draw_path_errors
 from greenough.twin.glass.glasses import index
 from greenough.twin.glass.placed import errors_to_json, place

@@ -22,13 +22,6 @@ from greenough.twin.stage import StageErrors
 from greenough.twin.workbench import Workbench
 
 FALSE_ALARM = 1e-6
-NOISELESS = (
-    "camera.bits=0",
-    "twin.camera.shot_noise=false",
-    "twin.camera.read_noise_e=0",
-    "twin.camera.prnu=0",
-    "twin.camera.dsnu_e=0",
-)
 
 
 def white(rig: TwinRig, n: int = 1) -> np.ndarray:
@@ -78,7 +71,7 @@ def test_runs_of_different_names_share_no_noise(small):
         rig, _ = small("camera.bits=0", "twin.camera.prnu=0", "twin.camera.dsnu_e=0", f"twin.seed={seed}", run=run)
         rig.operator.place(Placement("plane"))
         stack = rig.capture(white(rig, 6)).stack.reshape(6, -1)
-        quiet, _ = small(*NOISELESS, f"twin.seed={seed}")
+        quiet, _ = small(f"twin.seed={seed}", noiseless=True)
         quiet.operator.place(Placement("plane"))
         expected = quiet.capture(white(rig)).stack.reshape(1, -1)
         per_dn = rig.camera.noise.electrons_per_dn
@@ -133,7 +126,7 @@ def test_frames_carry_what_the_camera_and_the_stage_reported(small):
 
 
 def test_grey_values_are_linear_in_light_and_exposure(small):
-    rig, _ = small(*NOISELESS)
+    rig, _ = small(noiseless=True)
     rig.operator.place(Placement("plane"))
     patterns = fringe_patterns(rig)[:3]
     irradiance = rig.irradiance(patterns)
@@ -155,7 +148,7 @@ def test_float_frames_say_that_they_do_not_clip(small):
 
 
 def test_what_is_mounted_and_where_is_what_is_seen(small):
-    rig, _ = small(*NOISELESS)
+    rig, _ = small(noiseless=True)
     patterns = fringe_patterns(rig)[-1:]
     pictures = {}
     for part in ("plane", "coin"):
@@ -234,7 +227,7 @@ def test_pictures_that_set_the_exposure_are_rendered_once_and_fringes_anew(small
     ("placement", "words"),
     [
         (Placement("coin", pose_mm_deg=(float("nan"), 0, 0, 0, 0, 0)), "six finite numbers"),
-        (Placement("coin", pose_mm_deg=(0, 0, 1)), "six finite numbers"),  # type: ignore[arg-type]
+        (Placement("coin", pose_mm_deg=(0, 0, 1)), "six finite numbers"),
         (Placement("plane", pose_mm_deg=(0, 0, 100, 0, 0, 0)), "measuring volume"),
         (Placement("board", pose_mm_deg=(0, 0, 1, 0, 0, 0)), "postures"),
     ],

@@ -24,13 +24,23 @@ COARSE = (
 SPECIMENS = ("coin", "bga", "diaphragm-concave", "diaphragm-equilibrated", "diaphragm-raised")
 
 # Scripts rely on these.
-NAMES = set(
-    """
-    reprojection_rmse_u reprojection_rmse_v plane_rmse_raw plane_rmse_filtered plane_within_5um plane_line_noise
-    pitch_mean pitch_sd pitch_second_board_mean pitch_second_board_sd depth_p95_volume volume_x volume_y z_range
-    step_2500um
-    """.split()  # noqa: SIM905  fifteen quoted names would be harder to compare with the list that scripts use
-)
+NAMES = {
+    "reprojection_rmse_u",
+    "reprojection_rmse_v",
+    "plane_rmse_raw",
+    "plane_rmse_filtered",
+    "plane_within_5um",
+    "plane_line_noise",
+    "pitch_mean",
+    "pitch_sd",
+    "pitch_second_board_mean",
+    "pitch_second_board_sd",
+    "depth_p95_volume",
+    "volume_x",
+    "volume_y",
+    "z_range",
+    "step_2500um",
+}
 METHODS = {"bundle": "", "paper": "-paper"}  # and how the clouds' names end
 PER_SPECIMEN = {"bias", "rmse", "p95", "valid_share"}
 

@@ -1,0 +1,10 @@
+"""Dr.Jit's arrays on the CPU: every module of the pipeline imports them from here, once libLLVM is found."""
+
+from greenough.instrument.llvm import ensure_llvm
+
+ensure_llvm()
+
+import drjit as dr  # noqa: E402  Dr.Jit chooses its LLVM while it is imported, so that ensure_llvm comes before
+from drjit.llvm import Bool, Complex2f, Float, UInt8  # noqa: E402  as the line above
+
+__all__ = ["Bool", "Complex2f", "Float", "UInt8", "dr"]

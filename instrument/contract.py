@@ -86,6 +86,26 @@ class CameraNoise:
 
 
 @dataclass(frozen=True)
+class KnownUncertainty:
+    """What no calibration can show of its own errors, as the rig file states it: certificates and experience.
+
+    Parameters
+    ----------
+    board_scale : float
+        Relative standard uncertainty of the calibration board's mean pitch, from its certificate.
+    table_drift_mm : float
+        Drift of the specimen table against the microscope, along each axis: standard deviation after as many exposures
+        as a whole calibration takes, of a random walk that begins with the run.
+    path_drift_mm : float
+        The same of the projected picture against the camera, along its columns, at the specimen.
+    """
+
+    board_scale: float
+    table_drift_mm: float
+    path_drift_mm: float
+
+
+@dataclass(frozen=True)
 class SpotBoard:
     """Nominal calibration board: white spots on dark ink, as its drawing says.
 
@@ -127,6 +147,11 @@ class Procedure:
     plane_step_mm: float
     exposure_share: float  # of full scale, for the brightest part that counts
     brackets: tuple[float, ...] = field(default=(1.0,))  # exposure ratios for shiny parts, the longest first
+
+    @property
+    def exposures(self) -> int:
+        """Of a whole calibration: every posture and plane with every pattern."""
+        return (self.postures + self.planes) * sum(self.steps)
 
 
 @dataclass(frozen=True)
@@ -209,6 +234,9 @@ class Rig(Protocol):
 
     @property
     def procedure(self) -> Procedure: ...
+
+    @property
+    def uncertainty(self) -> KnownUncertainty: ...
 
     @property
     def camera(self) -> Camera: ...

@@ -9,11 +9,11 @@ from typing import Literal
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
-from .contract import CameraNoise, Placement, Procedure, Rig, RigIdentity, SpotBoard
+from .contract import CameraNoise, KnownUncertainty, Placement, Procedure, Rig, RigIdentity, SpotBoard
 from .errors import InputError
 
 KIND = "greenough recording"
-VERSION = 1
+VERSION = 2
 
 
 @dataclass(frozen=True)
@@ -23,6 +23,7 @@ class RigDescription:
     identity: RigIdentity
     board: SpotBoard
     procedure: Procedure
+    uncertainty: KnownUncertainty
     camera_shape: tuple[int, int]
     full_scale_dn: float
     black_level_dn: float
@@ -90,6 +91,7 @@ def describe(rig: Rig) -> RigDescription:
         identity=rig.identity,
         board=rig.board,
         procedure=rig.procedure,
+        uncertainty=rig.uncertainty,
         camera_shape=camera.shape,
         full_scale_dn=float(camera.full_scale_dn),
         black_level_dn=float(camera.black_level_dn),

@@ -18,6 +18,7 @@ from .contract import (
     Camera,
     CameraNoise,
     Frames,
+    KnownUncertainty,
     Operator,
     Placement,
     Procedure,
@@ -132,6 +133,10 @@ class _RecordedRig:
     @property
     def procedure(self) -> Procedure:
         return self._rig.procedure
+
+    @property
+    def uncertainty(self) -> KnownUncertainty:
+        return self._rig.uncertainty
 
     @property
     def projector(self) -> Projector:

@@ -12,7 +12,7 @@ from typing import Generic, Self, TypeVar
 import numpy as np
 
 from . import hdf5
-from .contract import CameraNoise, Frames, Placement, Procedure, RigIdentity, SpotBoard
+from .contract import CameraNoise, Frames, KnownUncertainty, Placement, Procedure, RigIdentity, SpotBoard
 from .errors import InputError
 from .journal import (
     KIND,
@@ -108,6 +108,10 @@ class Replay:
     @property
     def procedure(self) -> Procedure:
         return self._description.procedure
+
+    @property
+    def uncertainty(self) -> KnownUncertainty:
+        return self._description.uncertainty
 
     def capture(self, patterns: np.ndarray) -> Frames:
         """The frames that were recorded for these patterns in the present state.

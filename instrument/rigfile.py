@@ -1,7 +1,7 @@
 """Rig files: which instrument, with which limits and procedure, behind which driver.
 
-A rig file is TOML. Its sections camera, projector, stage, board and procedure are the same for every rig; every other
-section belongs to the driver, which validates it (``describe_validation_error`` words the refusal).
+A rig file is TOML. Its sections camera, projector, stage, board, procedure and uncertainty are the same for every rig;
+every other section belongs to the driver, which validates it (``describe_validation_error`` words the refusal).
 """
 
 import difflib
@@ -17,7 +17,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from .contract import CameraNoise, Procedure, RigIdentity, SpotBoard
+from .contract import CameraNoise, KnownUncertainty, Procedure, RigIdentity, SpotBoard
 from .errors import InputError
 
 _SECTION = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -158,6 +158,22 @@ class ProcedureSection(BaseModel):
         return Procedure(**{name: getattr(self, name) for name in type(self).model_fields})
 
 
+class UncertaintySection(BaseModel):
+    """``[uncertainty]``: standard uncertainties that no calibration shows, see ``contract.KnownUncertainty``.
+
+    There is no default: an uncertainty that nobody states would count as none.
+    """
+
+    model_config = _SECTION
+    board_scale_ppm: Annotated[float, Field(ge=0, le=100_000)]
+    table_drift_um: Annotated[float, Field(ge=0, le=1000)]
+    path_drift_um: Annotated[float, Field(ge=0, le=1000)]
+
+    @property
+    def contract(self) -> KnownUncertainty:
+        return KnownUncertainty(1e-6 * self.board_scale_ppm, 1e-3 * self.table_drift_um, 1e-3 * self.path_drift_um)
+
+
 class RigFile(BaseModel):
     """A validated rig file. Sections of the driver are kept as they stand: see ``driver_section``."""
 
@@ -170,6 +186,7 @@ class RigFile(BaseModel):
     stage: StageSection
     board: BoardSection
     procedure: ProcedureSection
+    uncertainty: UncertaintySection
 
     @model_validator(mode="after")
     def _consistent(self) -> "RigFile":

@@ -117,7 +117,10 @@ def _acquire(
 ) -> CalibrationData:
     """All postures and planes, done or kept from before."""
     acquire = _Acquirer(rig, unfinished, advance)
-    postures = {name: acquire.posture(name, placement) for name, placement in _postures(rig)}
+    postures, exposures = {}, {}
+    for name, placement in _postures(rig):
+        postures[name] = acquire.posture(name, placement)
+        exposures[name] = acquire.exposures
     missing = tuple(name for name, found in postures.items() if found is None)
     found = {name: seen for name, seen in postures.items() if seen is not None}
     with unfinished.repeated_on_refusal(f"posture-{name}" for name in missing):
@@ -145,10 +148,12 @@ def _acquire(
         identity=rig.identity,
         board=rig.board,
         procedure=rig.procedure,
+        uncertainty=rig.uncertainty,
         run=run,
         exposures=acquire.exposures,
         spots=spots,
         spot_phases=spot_phases,
+        exposures_at_postures=np.array([exposures[name] for name in names]),
         missing=missing,
         camera=camera,
         point_spread=point_spread,

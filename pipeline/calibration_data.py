@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from greenough.instrument.contract import Procedure, RigIdentity, SpotBoard
+from greenough.instrument.contract import KnownUncertainty, Procedure, RigIdentity, SpotBoard
 
 from .bundle_data import SpotPhases
 from .camera_calibration import CameraCalibration
@@ -18,7 +18,7 @@ class CalibrationData:
 
     Parameters
     ----------
-    identity, board, procedure
+    identity, board, procedure, uncertainty
         Of the rig.
     run : str
         Name of the run whose exposures went in.
@@ -28,6 +28,8 @@ class CalibrationData:
         One per posture in which the board was found.
     spot_phases : tuple of SpotPhases
         Of the same postures.
+    exposures_at_postures : (postures,) int
+        How many the run had taken when each of these postures was done: how far drifts may have got.
     missing : tuple of str
         Postures in which the board was not found.
     camera : CameraCalibration
@@ -45,10 +47,12 @@ class CalibrationData:
     identity: RigIdentity
     board: SpotBoard
     procedure: Procedure
+    uncertainty: KnownUncertainty
     run: str
     exposures: int
     spots: tuple[Spots, ...]
     spot_phases: tuple[SpotPhases, ...]
+    exposures_at_postures: np.ndarray
     missing: tuple[str, ...]
     camera: CameraCalibration
     point_spread: PointSpread | None

@@ -10,6 +10,7 @@ import numpy as np
 from greenough.instrument.contract import (
     CameraNoise,
     Frames,
+    KnownUncertainty,
     Placement,
     Procedure,
     RigIdentity,
@@ -111,8 +112,7 @@ class TwinRig:
         self._renderer = Renderer(rig_file, self._settings, workbench)
         self._workbench = workbench
         self._sensor = build_sensor(rig_file.camera, self._settings.camera, self._settings.seed)
-        procedure = rig_file.procedure
-        exposures = (procedure.postures + procedure.planes) * sum(procedure.steps)
+        exposures = rig_file.procedure.contract.exposures
         self._instability = Instability(self._settings.stability, self._settings.seed, run, exposures)
         self._run = run
         self._serial = exposures_done
@@ -134,6 +134,10 @@ class TwinRig:
     @property
     def procedure(self) -> Procedure:
         return self._rig_file.procedure.contract
+
+    @property
+    def uncertainty(self) -> KnownUncertainty:
+        return self._rig_file.uncertainty.contract
 
     def capture(self, patterns: np.ndarray) -> Frames:
         """One exposure per pattern; all patterns are rendered in one pass.

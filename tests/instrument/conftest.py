@@ -8,7 +8,16 @@ import numpy as np
 import pytest
 
 from greenough.instrument import open_rig
-from greenough.instrument.contract import CameraNoise, Frames, Placement, Procedure, Rig, RigIdentity, SpotBoard
+from greenough.instrument.contract import (
+    CameraNoise,
+    Frames,
+    KnownUncertainty,
+    Placement,
+    Procedure,
+    Rig,
+    RigIdentity,
+    SpotBoard,
+)
 from greenough.instrument.errors import InputError
 from greenough.instrument.limits import check_patterns, check_within
 
@@ -65,6 +74,7 @@ class FakeRig:
 
     board = SpotBoard(3, 3, 0.65, 0.4, 0.175, 2.0, ((1, 1), (1, 2), (0, 1)))
     procedure = Procedure((8.0, 4.0), (4, 4), 6, 5, 0.1, 0.8, (4.0, 1.0))
+    uncertainty = KnownUncertainty(3e-5, 5e-4, 5e-5)
 
     def __init__(self, dtype: type = np.uint8, seed: int = 1) -> None:
         self.identity = RigIdentity("fake", "camera-7", "projector-3", hashlib.sha256(b"fake").hexdigest())

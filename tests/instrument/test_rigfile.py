@@ -188,7 +188,7 @@ def test_missing_fields_and_unknown_top_level_values_are_all_named(tmp_path: Pat
     with pytest.raises(InputError) as caught:
         load_rig_file(path)
     sentence = str(caught.value)
-    for name in ("driver", "stage", "board", "procedure", "projector", "camera.cols", "camera.bits"):
+    for name in ("driver", "stage", "board", "procedure", "uncertainty", "projector", "camera.cols", "camera.bits"):
         assert f"{name} is missing" in sentence
     assert "there is no field colour" in sentence
 

@@ -12,7 +12,15 @@ from scipy.ndimage import minimum_filter
 from scipy.spatial.transform import Rotation
 from scipy.special import expit
 
-from greenough.instrument.contract import CameraNoise, Frames, Placement, Procedure, RigIdentity, SpotBoard
+from greenough.instrument.contract import (
+    CameraNoise,
+    Frames,
+    KnownUncertainty,
+    Placement,
+    Procedure,
+    RigIdentity,
+    SpotBoard,
+)
 from greenough.instrument.errors import InputError
 from greenough.pipeline import acquisition
 from greenough.pipeline.acquisition import calibrate, calibrate_by_methods, measure, plane_heights
@@ -26,6 +34,7 @@ BOARD = SpotBoard(5, 7, 1.2, 0.8, 0.5, 8.0, ((2, 3), (2, 4), (1, 3)))
 PROCEDURE = Procedure(
     (608.0, 152.0, 40.0, 12.0), (4, 4, 4, 12), postures=8, planes=10, plane_step_mm=0.3, exposure_share=0.8
 )
+UNCERTAINTY = KnownUncertainty(board_scale=3e-5, table_drift_mm=5e-4, path_drift_mm=5e-5)
 TABLE_FROM_FLAT = np.array([[0.9986, -0.0523, 0, 0.1], [0.0523, 0.9986, 0, -0.05], [0, 0, 1, 0], [0, 0, 0, 1]])
 
 
@@ -52,7 +61,7 @@ class PlainRig:
         stage_error=lambda reading: reading,
     ):
         self.identity = RigIdentity("plain", "camera 1", "projector 1", f"{seed:064x}")
-        self.board, self.procedure = BOARD, procedure
+        self.board, self.procedure, self.uncertainty = BOARD, procedure, UNCERTAINTY
         self.camera = SimpleNamespace(
             shape=SHAPE,
             full_scale_dn=255.0,

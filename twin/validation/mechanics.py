@@ -122,8 +122,7 @@ def calibration_drift(setup: Setup) -> Drift:
     """
     procedure, settings = setup.calibration.procedure, setup.bench.settings
     frames = sum(procedure.steps)
-    exposures = (procedure.postures + procedure.planes) * frames
-    run = Instability(settings.stability, settings.seed, setup.calibration.run, exposures)
+    run = Instability(settings.stability, settings.seed, setup.calibration.run, procedure.exposures)
     first = setup.calibration.exposures - frames * np.arange(len(setup.readings) + 2, 0, -1)
     flat, zero, *planes = (float(run.table_drift(int(serial))[2]) for serial in np.maximum(first, 0))
     return Drift(flat, zero, np.array(planes))

@@ -1,14 +1,14 @@
 """The procedures: how a rig is calibrated and how it measures, against the contract alone (section 4 of the paper)."""
 
 import logging
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import asdict, fields
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from greenough.instrument.contract import BLANK, Frames, Placement, Rig
+from greenough.instrument.contract import BLANK, Frames, Placement, Procedure, Rig
 from greenough.instrument.errors import InputError
 
 from .bundle_data import SpotPhases, check_spot_phases, measure_spot_phases
@@ -41,10 +41,36 @@ RIM_PX = 10
 the board: four to five Airy radii of 2.2 px, as far as the pattern's skirt and defocus are felt."""
 
 
-METHODS: Mapping[Method, Callable[[CalibrationData], Calibration]] = {
-    "paper": calibrate_by_paper,
-    "bundle": calibrate_by_bundle,
+@dataclass(frozen=True)
+class CalibrationMethod:
+    """How a calibration is computed, and what must have been captured for it.
+
+    Parameters
+    ----------
+    calibrate : callable
+        CalibrationData to Calibration.
+    needs_planes : bool
+        Whether the board is turned over and the stage lifts its blank side through the planes. Without, the data that
+        ``calibrate`` is given hold none.
+    needs_spot_phases : bool
+        Whether the fringes on the spots are used.
+    """
+
+    calibrate: Callable[[CalibrationData], Calibration]
+    needs_planes: bool
+    needs_spot_phases: bool
+
+
+METHODS: Mapping[Method, CalibrationMethod] = {
+    "paper": CalibrationMethod(calibrate_by_paper, needs_planes=True, needs_spot_phases=False),
+    "bundle": CalibrationMethod(calibrate_by_bundle, needs_planes=True, needs_spot_phases=True),
 }
+
+
+def calibration_steps(procedure: Procedure, methods: Iterable[Method]) -> int:
+    """How often `calibrate_by_methods` calls ``advance``: once for each posture and each plane that these need."""
+    planes = procedure.planes + 1 if any(METHODS[method].needs_planes for method in methods) else 0
+    return procedure.postures + planes
 
 
 def calibrate(
@@ -67,8 +93,9 @@ def calibrate_by_methods(
     """Calibrate a rig by one method or several, all from the same exposures, and write the calibrations.
 
     The board is shown tilted in all postures but one, then flat, each with fringes, from whose background the spots
-    are found. It is then turned over, and the stage lifts its blank side through the planes. The exposure is set once
-    for each side, and again after a posture in which the board was not found.
+    are found. Methods that need no more are computed. If others were asked for, the board is then turned over, and the
+    stage lifts its blank side through the planes; if not, nothing is turned and the stage stays. The exposure is set
+    once for each side, and again after a posture in which the board was not found.
 
     Every finished posture and plane is kept in ``OUT.partial``, beside the first of ``outs``; when the run is
     interrupted, the same call with a rig opened at ``exposures_done=Unfinished.beside(out).exposures`` goes on from
@@ -79,11 +106,11 @@ def calibrate_by_methods(
     rig : Rig
         Open, that is inside its context.
     outs : mapping
-        The file of each method's calibration: "paper", "bundle" or both.
+        The file of each method's calibration, of any of ``METHODS``.
     run : str
         The run that the rig was opened for.
     advance : callable
-        Called with 1 after each of the ``procedure.postures + procedure.planes + 1`` steps.
+        Called with 1 after each of the ``calibration_steps``.
 
     Raises
     ------
@@ -91,32 +118,36 @@ def calibrate_by_methods(
         If ``OUT.partial`` belongs to another rig, settings or run, the planes lie outside the stage's limits, the flat
         board or too many tilted ones were not found, the postures are all parallel, or a method lacks data.
     """
-    heights = plane_heights(rig)
+    with_planes = [method for method in outs if METHODS[method].needs_planes]
+    without_planes = [method for method in outs if not METHODS[method].needs_planes]
+    heights = plane_heights(rig) if with_planes else np.empty(0)
     for out in outs.values():
         if Path(out).is_dir():
             raise InputError(f"cannot write {out}: it is a folder; name a file.")
     unfinished = Unfinished.beside(next(iter(outs.values())))
     unfinished.begin(rig, run)
-    data = _acquire(rig, unfinished, heights, run, advance, "bundle" in outs)
-    planes = [f"plane-{name}" for name in (ZERO, *(f"{k:02d}" for k in range(len(heights))))]
-    with unfinished.repeated_on_refusal(planes):
-        calibrations: dict[Method, Calibration] = {method: METHODS[method](data) for method in outs}
-    for method, calibration in calibrations.items():
-        calibration.save(outs[method])
-    unfinished.remove()
-    return calibrations
-
-
-def _acquire(
-    rig: Rig,
-    unfinished: Unfinished,
-    heights: np.ndarray,
-    run: str,
-    advance: Callable[[float], None],
-    needs_spot_phases: bool,
-) -> CalibrationData:
-    """All postures and planes, done or kept from before."""
     acquire = _Acquirer(rig, unfinished, advance)
+    data = _acquire_postures(rig, unfinished, acquire, run, any(METHODS[method].needs_spot_phases for method in outs))
+    made: dict[Method, Calibration] = {}
+    with unfinished.repeated_on_refusal(f"posture-{name}" for name, _ in _postures(rig)):
+        for method in without_planes:
+            made[method] = METHODS[method].calibrate(data)
+    if with_planes:
+        data = _acquire_planes(data, acquire, heights)
+        planes = [f"plane-{name}" for name in (ZERO, *(f"{k:02d}" for k in range(len(heights))))]
+        with unfinished.repeated_on_refusal(planes):
+            for method in with_planes:
+                made[method] = METHODS[method].calibrate(data)
+    for method, out in outs.items():
+        made[method].save(out)
+    unfinished.remove()
+    return {method: made[method] for method in outs}
+
+
+def _acquire_postures(
+    rig: Rig, unfinished: Unfinished, acquire: "_Acquirer", run: str, needs_spot_phases: bool
+) -> CalibrationData:
+    """All postures, done or kept from before, and no planes."""
     postures, exposures = {}, {}
     for name, placement in _postures(rig):
         postures[name] = acquire.posture(name, placement)
@@ -137,26 +168,36 @@ def _acquire(
     except InputError as error:
         _log.warning("measurements cannot be deconvolved: %s", error)
         point_spread = None
-
-    # The blank side first lies where the printed one lay, before the stage moves: this is z = 0 of both.
-    phase_at_zero, _ = acquire.plane(ZERO, 0.0)
-    phases = np.empty((len(heights), *rig.camera.shape), dtype=np.float32)
-    readings = np.empty(len(heights))
-    for k, height in enumerate(heights):
-        phases[k], readings[k] = acquire.plane(f"{k:02d}", height)
     return CalibrationData(
         identity=rig.identity,
         board=rig.board,
         procedure=rig.procedure,
         uncertainty=rig.uncertainty,
         run=run,
-        exposures=acquire.exposures,
+        exposures=max(exposures.values()),
         spots=spots,
         spot_phases=spot_phases,
         exposures_at_postures=np.array([exposures[name] for name in names]),
         missing=missing,
         camera=camera,
         point_spread=point_spread,
+        phase_at_zero=np.full(rig.camera.shape, np.nan, dtype=np.float32),
+        phases=np.empty((0, *rig.camera.shape), dtype=np.float32),
+        readings_mm=np.empty(0),
+    )
+
+
+def _acquire_planes(data: CalibrationData, acquire: "_Acquirer", heights: np.ndarray) -> CalibrationData:
+    """The same data with all planes, done or kept from before."""
+    # The blank side first lies where the printed one lay, before the stage moves: this is z = 0 of both.
+    phase_at_zero, _ = acquire.plane(ZERO, 0.0)
+    phases = np.empty((len(heights), *phase_at_zero.shape), dtype=np.float32)
+    readings = np.empty(len(heights))
+    for k, height in enumerate(heights):
+        phases[k], readings[k] = acquire.plane(f"{k:02d}", height)
+    return replace(
+        data,
+        exposures=max(data.exposures, acquire.exposures),
         phase_at_zero=phase_at_zero,
         phases=phases,
         readings_mm=readings,

@@ -37,9 +37,9 @@ class CalibrationData:
     point_spread : PointSpread or None
         Of the camera; None where the spots were too few to tell.
     phase_at_zero : (rows, cols) float32
-        Absolute phase of the blank side where the flat board lay, rad, NaN where invalid.
+        Absolute phase of the blank side where the flat board lay, rad, NaN where invalid, and where no method needed it.
     phases : (planes, rows, cols) float32
-        The same at the planes.
+        The same at the planes, of which there are none where no method needed them.
     readings_mm : (planes,)
         The stage's.
     """

@@ -45,7 +45,7 @@ def calibrate(
     """
     exposures_done = Unfinished.beside(out).exposures
     with open_rig(rig, settings or (), run=run, exposures_done=exposures_done) as opened:
-        steps = opened.procedure.postures + opened.procedure.planes + 1
+        steps = acquisition.calibration_steps(opened.procedure, [method])
         with progress(steps, "calibrating", quiet=as_json) as advance:
             calibration = acquisition.calibrate(opened, out, run, advance, method)
     summary = {"calibration": out, "rig": calibration.identity.name, "run": run, "method": calibration.method}

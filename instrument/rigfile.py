@@ -7,7 +7,6 @@ every other section belongs to the driver, which validates it (``describe_valida
 import difflib
 import hashlib
 import json
-import re
 import tomllib
 from collections.abc import Iterator, Sequence
 from copy import deepcopy
@@ -19,7 +18,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from .contract import CameraNoise, KnownUncertainty, Procedure, RigIdentity, SpotBoard
 from .errors import InputError
+from .toml_file import names_in, read_toml
 
+_RIGS = resources.files("greenough.instrument") / "rigs"
 _SECTION = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 _Name = Annotated[str, Field(min_length=1, max_length=200)]
 _Pixels = Annotated[int, Field(ge=4, le=20_000)]
@@ -220,8 +221,7 @@ class RigFile(BaseModel):
 
 def builtin_rigs() -> tuple[str, ...]:
     """Names of the rig files that come with the package."""
-    folder = resources.files("greenough.instrument") / "rigs"
-    return tuple(sorted(file.name[:-5] for file in folder.iterdir() if file.name.endswith(".toml")))
+    return names_in(_RIGS)
 
 
 def load_rig_file(name_or_path: str | Path, overrides: Sequence[str] = ()) -> RigFile:
@@ -240,8 +240,7 @@ def load_rig_file(name_or_path: str | Path, overrides: Sequence[str] = ()) -> Ri
         For an unknown rig, a file that cannot be read, malformed TOML (with its line), an override of an unknown
         field (with the nearest known one), and wrong fields (all of them, each with what is allowed).
     """
-    where, text = _read(name_or_path)
-    document = _parse(text, where)
+    where, document = read_toml(name_or_path, "rig", _RIGS)
     for override in overrides:
         _apply(override, document)
         where += f" with --set {override}"
@@ -270,34 +269,6 @@ def describe_validation_error(error: ValidationError, where: str, model: type[Ba
     parents = {fault["loc"][:depth] for fault in faults for depth in range(len(fault["loc"]))}
     sentences = [_describe_fault(fault, schema) for fault in faults if not fault["loc"] or fault["loc"] not in parents]
     return f"{where}: {'; '.join(sentences)}."
-
-
-def _read(name_or_path: str | Path) -> tuple[str, str]:
-    """What to call the file in a sentence, and its text."""
-    if isinstance(name_or_path, str) and name_or_path in builtin_rigs():
-        file = resources.files("greenough.instrument") / "rigs" / f"{name_or_path}.toml"
-        return f"built-in rig file {name_or_path}", file.read_text(encoding="utf-8")
-    path = Path(name_or_path)
-    where = f"rig file {path}"
-    try:
-        return where, path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        names = ", ".join(builtin_rigs())
-        raise InputError(f"no rig {path}: give a built-in name ({names}) or the path of a rig file.") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{where} is not UTF-8 text, so it is not a rig file in TOML.") from None
-    except OSError as error:
-        raise InputError(f"{where} cannot be read: {error.strerror}.") from None
-
-
-def _parse(text: str, where: str) -> dict[str, Any]:
-    try:
-        return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        match = re.fullmatch(r"(.*) \(at (?:line (\d+), column \d+|end of document)\)", str(error), re.DOTALL)
-        reason = match[1] if match else str(error)
-        line = match[2] if match and match[2] else str(text.count("\n") + 1)
-        raise InputError(f"{where} is not valid TOML at line {line}: {reason[:1].lower()}{reason[1:]}.") from None
 
 
 def _apply(override: str, document: dict[str, Any]) -> None:
@@ -360,7 +331,7 @@ def _node(schema: dict[str, Any], location: Sequence[int | str]) -> dict[str, An
     for part in location:
         node = _resolve(node, schema)
         if isinstance(part, str):
-            child = node.get("properties", {}).get(part)
+            child = node.get("properties", {}).get(part, node.get("additionalProperties"))
         else:
             prefix = node.get("prefixItems", [])
             child = prefix[part] if part < len(prefix) else node.get("items")

@@ -241,8 +241,9 @@ def load_rig_file(name_or_path: str | Path, overrides: Sequence[str] = ()) -> Ri
         field (with the nearest known one), and wrong fields (all of them, each with what is allowed).
     """
     where, document = read_toml(name_or_path, "rig", _RIGS)
+    schema = RigFile.model_json_schema() if overrides else {}
     for override in overrides:
-        _apply(override, document)
+        _apply(override, document, schema)
         where += f" with --set {override}"
     try:
         # JSON knows no tuples, so strictness refuses text for a number without refusing a list for a tuple.
@@ -271,8 +272,8 @@ def describe_validation_error(error: ValidationError, where: str, model: type[Ba
     return f"{where}: {'; '.join(sentences)}."
 
 
-def _apply(override: str, document: dict[str, Any]) -> None:
-    """Write one ``"section.field=value"`` into the document."""
+def _apply(override: str, document: dict[str, Any], schema: dict[str, Any]) -> None:
+    """Write one ``"section.field=value"`` into the document; ``schema`` is that of a rig file."""
     name, equals, text = override.partition("=")
     keys = name.strip().split(".")
     if not equals or not all(keys):
@@ -283,7 +284,6 @@ def _apply(override: str, document: dict[str, Any]) -> None:
         parsed = {}
     if list(parsed) != ["value"]:
         raise InputError(f"--set {override}: the value must be written as in TOML, text in quotes.")
-    schema = RigFile.model_json_schema()
     if keys[0] not in schema["properties"] and (keys[0] not in document or len(keys) == 1):
         known = [*_known_fields(schema), *(section for section, value in document.items() if isinstance(value, dict))]
         raise InputError(f"--set {override}: there is no field {name.strip()}{_nearest(name.strip(), known)}.")

@@ -4,14 +4,16 @@ z = 0 is half the nominal ball height above the substrate. Row 0 is at the top (
 """
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 
 from greenough.instrument.errors import InputError
 
 from .parts import Part, Specimen
-from .triangulation import grid_faces, grid_points, ring_angles, ring_faces
+from .triangulation import grid_faces, grid_points
+from .truncated_spheres import truncated_spheres
 
 _EDGE_MM = 0.009  # length of a facet's sides; the sagitta over it is below 0.1 µm on the smallest ball
 _ROUNDING_MM = 1e-9  # 0.4 + 0.05 and 0.5 - 0.05 may differ by rounding
@@ -32,6 +34,9 @@ class BallGrid:
 
 
 NOMINAL = BallGrid()
+DEFECTIVE_MISSING = ((2, 3),)
+DEFECTIVE_LOW: Mapping[tuple[int, int], float] = MappingProxyType({(4, 6): 0.08})
+"""Of the sample "bga-defective": a ball that is not there, and one 0.08 mm lower than it was drawn."""
 
 
 def bga(
@@ -93,7 +98,7 @@ def bga(
     centres = apexes - radii[:, None] * [0.0, 0.0, 1.0]
     return Specimen(
         "bga",
-        (_substrate(nominal, base), _balls(centres, radii, base)),
+        (_substrate(nominal, base), truncated_spheres(centres, radii, base, _EDGE_MM, "solder")),
         nominal={
             "pitch_mm": nominal.pitch,
             "ball_diameter_mm": nominal.diameter,
@@ -111,6 +116,11 @@ def bga(
             "ball_apexes_mm": apexes,
         },
     )
+
+
+def defective_bga(seed: int) -> Specimen:
+    """The array of the same ``seed`` with one ball missing and one low: what an inspection has to find."""
+    return replace(bga(seed, DEFECTIVE_MISSING, DEFECTIVE_LOW), name="bga-defective")
 
 
 def _check(nominal: BallGrid, missing: Collection[tuple[int, int]], low: Mapping[tuple[int, int], float]) -> None:
@@ -137,19 +147,3 @@ def _substrate(nominal: BallGrid, z: float) -> Part:
     xy = grid_points(np.array([-0.5, 0.5]) * width, np.array([-0.5, 0.5]) * height)
     vertices = np.column_stack([xy, np.full(len(xy), z)])
     return Part(vertices, grid_faces(2, 2), np.tile([0.0, 0.0, 1.0], (len(xy), 1)), "substrate")
-
-
-def _balls(centres: np.ndarray, radii: np.ndarray, base: float) -> Part:
-    """Spheres (balls, 3), (balls,) cut off at z = ``base``: rings of equal polar angle from the apex down."""
-    cut = np.arccos(np.maximum(-1.0, (base - centres[:, 2]) / radii))  # polar angle where the substrate begins
-    # One triangulation for all: fine enough for the largest ball and stretched to each ball's own cut.
-    rings = int(np.ceil((radii * cut).max() / _EDGE_MM))
-    share = np.arange(rings + 1) / rings
-    girth = 2 * np.pi * np.max(radii[:, None] * np.sin(share * cut[:, None]), axis=0)
-    counts = [1, *np.maximum(6, np.ceil(girth[1:] / _EDGE_MM)).astype(int).tolist()]
-    azimuth = ring_angles(counts)
-    polar = np.repeat(share, counts) * cut[:, None]  # (balls, points)
-    normals = np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)], axis=-1)
-    vertices = centres[:, None] + radii[:, None, None] * normals
-    faces = ring_faces(counts) + np.arange(len(radii))[:, None, None] * len(azimuth)
-    return Part(vertices.reshape(-1, 3), faces.reshape(-1, 3).astype(np.int32), normals.reshape(-1, 3), "solder")

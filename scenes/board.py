@@ -39,6 +39,8 @@ class BoardErrors:
         Standard deviation of the angle between the faces, per axis.
     ink_thickness_um : float
         Thickness of the ink; not drawn.
+    scale_error_ppm : float
+        Error of the print's scale besides the drawn one; not drawn.
     """
 
     print_sd_um: float = 0.6
@@ -46,6 +48,7 @@ class BoardErrors:
     bow_um: float = 2.0
     wedge_urad: float = 50.0
     ink_thickness_um: float = 1.0
+    scale_error_ppm: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +97,8 @@ def print_board(nominal: SpotBoard, errors: BoardErrors, rng: np.random.Generato
     drawing = nominal.centres()
     scale, bow, wedge_x, wedge_y = rng.standard_normal(4)
     scatter = rng.standard_normal(drawing.shape)
-    scattered = drawing * (1 + scale * errors.scale_ppm * 1e-6) + scatter * errors.print_sd_um * 1e-3
+    stretched = drawing * (1 + (scale * errors.scale_ppm + errors.scale_error_ppm) * 1e-6)
+    scattered = stretched + scatter * errors.print_sd_um * 1e-3
     centres = _best_fitted(scattered, drawing)
 
     reach = np.linalg.norm(centres - drawing, axis=-1) + nominal.diameters() / 2

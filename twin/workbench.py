@@ -11,7 +11,7 @@ from greenough.instrument.contract import Placement
 from greenough.instrument.errors import InputError
 from greenough.instrument.rigfile import RigFile
 from greenough.scenes.board import BoardErrors, PrintedBoard, blank_height, board, print_board
-from greenough.scenes.catalogue import NAMES, specimen
+from greenough.scenes.catalogue import FLAT, NAMES, specimen
 from greenough.scenes.mesh_file import load_mesh
 from greenough.scenes.parts import Part, Specimen, transform
 
@@ -58,7 +58,8 @@ class Workbench:
 
     def _print(self, part: str) -> PrintedBoard:
         s = self._settings.board
-        errors = BoardErrors(s.print_sd_um, s.scale_sd_ppm, s.bow_sd_um, s.wedge_sd_urad, s.ink_thickness_um)
+        known = s.scale_error_ppm if part == "board" else 0.0
+        errors = BoardErrors(s.print_sd_um, s.scale_sd_ppm, s.bow_sd_um, s.wedge_sd_urad, s.ink_thickness_um, known)
         return print_board(self._rig_file.board.nominal, errors, instrument_rng(self._settings.seed, part))
 
     def place(self, placement: Placement) -> None:
@@ -90,7 +91,7 @@ class Workbench:
             )
         part = specimen(placement.part, seed)
         table_from_part = flat(seed, placement.part) @ posed(placement.pose_mm_deg)
-        return Mounted(placement, part, table_from_part, flat=placement.part == "plane")
+        return Mounted(placement, part, table_from_part, flat=placement.part in FLAT)
 
     def table_from_flat_board(self, part: str = "board") -> np.ndarray:
         """Motion (4, 4) of the board that lies on its blank face."""

@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import norm
 
 from greenough.instrument.errors import InputError
-from greenough.scenes.bga import NOMINAL, bga
+from greenough.scenes.bga import DEFECTIVE_LOW, DEFECTIVE_MISSING, NOMINAL, bga, defective_bga
 
 EXACT = replace(NOMINAL, diameter_tolerance=0.0, height_tolerance=0.0)
 
@@ -132,3 +132,15 @@ def test_the_array_fills_the_measuring_volume_however_it_is_laid(specimen):
 def test_an_impossible_array_is_refused(wrong, sentence):
     with pytest.raises(InputError, match=sentence):
         bga(0, **wrong)
+
+
+def test_the_defective_array_is_the_sound_one_but_for_one_missing_and_one_low_ball(specimen):
+    defective, built = defective_bga(3), specimen.as_built
+    (missing,), ((low, depth),) = DEFECTIVE_MISSING, DEFECTIVE_LOW.items()
+    balls = list(zip(built["ball_row"], built["ball_col"], strict=True))
+    heights = dict(zip(balls, built["ball_heights_mm"], strict=True))
+    found = defective.as_built
+    seen = list(zip(found["ball_row"], found["ball_col"], strict=True))
+    assert set(balls) - set(seen) == {missing}
+    for ball, height in zip(seen, found["ball_heights_mm"], strict=True):
+        assert height == pytest.approx(heights[ball] - (depth if ball == low else 0.0))

@@ -56,6 +56,15 @@ def test_scale_bow_and_wedge_vary_by_the_stated_amounts():
     assert_within_chance(np.array([printed.wedge for printed in boards]) ** 2 / 50e-6**2, 600)
 
 
+def test_a_known_scale_error_stretches_the_print_and_adds_no_chance():
+    stretched, plain = (
+        made(replace(DEFAULT, print_sd_um=0, scale_error_ppm=1000)),
+        made(replace(DEFAULT, print_sd_um=0)),
+    )
+    np.testing.assert_allclose(stretched.centres - plain.centres, 1e-3 * PAPER.centres(), atol=1e-15)
+    assert (stretched.bow, *stretched.wedge) == (plain.bow, *plain.wedge)
+
+
 def test_the_frame_is_best_fitted_to_the_printed_spots():
     printed, nominal = made(replace(DEFAULT, print_sd_um=20)), PAPER.centres()
     np.testing.assert_allclose(printed.centres.mean(axis=0), 0, atol=1e-15)

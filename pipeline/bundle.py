@@ -4,6 +4,10 @@ The scale comes from the board's printed pitch, heights from the rigidity of the
 phases at its spots; the stage's readings are a start and no observation. The world is the board's frame in the flat
 posture: origin and axes by the nominal spots best-fitted to the estimated ones, z = 0 the best plane through them.
 
+Between postures the projected picture drifts against the camera, as far as the rig file says. Every posture has a
+phase offset for it, held together by the random walk that a drift is. A camera that sees a board shrink by a few parts
+per million would otherwise pull heights by the drift, which looks the same.
+
 Where a board is tilted and out of focus, blur over the aperture moves spots and phases along the slope by the order of
 NA²/4 times height times slope. With z = slope times distance this is the same as another scale of z, so nothing in the
 data shows it: heights may be wrong in scale by that order, 0.06 per mille at NA 0.015.
@@ -39,6 +43,7 @@ _PROJECTOR_SD_RAD = 3.0, 0.3
 _SHAPE_SD_MM = 0.02
 _LEAST_PRINT_SD_MM = 1e-4
 _FRAME_SD_MM = 1e-7  # holds the print where the frame has it
+_LEAST_OFFSET_SD_RAD = 1e-6  # of a path that does not drift
 
 _START_SD = np.array([0.02, 0.003, 0.001])  # of centres (px), spots' phases and blocks (rad), until the residuals tell
 _LEAST_SD = np.array([1e-3, 1e-4, 5e-5])  # some 10 nm: where pictures are perfect, the model is not
@@ -83,7 +88,13 @@ class Bundle:
         return self.state.plane_height(plane, self.board, xy)
 
 
-def solve_bundle(data: BundleData, start: CameraCalibration, board: SpotBoard, heights_mm: np.ndarray) -> Bundle:
+def solve_bundle(
+    data: BundleData,
+    start: CameraCalibration,
+    board: SpotBoard,
+    heights_mm: np.ndarray,
+    path_drift_mm2: np.ndarray,
+) -> Bundle:
     """Fit everything to everything by Gauss-Newton with damping.
 
     Each observation is weighted by its own variance plus one that is common to its kind and comes from the residuals.
@@ -97,6 +108,8 @@ def solve_bundle(data: BundleData, start: CameraCalibration, board: SpotBoard, h
     board : SpotBoard
     heights_mm : (planes,)
         Where to start the planes: the stage's readings.
+    path_drift_mm2 : (postures, postures)
+        Covariance of how far the projected picture had drifted on the specimen in each posture, along its columns.
 
     Raises
     ------
@@ -110,7 +123,7 @@ def solve_bundle(data: BundleData, start: CameraCalibration, board: SpotBoard, h
         )
     shape = BoardShape.of(board)
     state = _start(data, start, shape, np.asarray(heights_mm, dtype=float))
-    problem = _Problem.of(data, state, shape, start)
+    problem = _Problem.of(data, state, shape, start, path_drift_mm2)
     weights = _start_weights(data)
     for _ in range(_ROUNDS):
         state, information = _solve(problem, state, weights)
@@ -132,9 +145,17 @@ class _Problem:
     board: BoardShape
     layout: Layout
     prior_sd: np.ndarray  # (size,) about zero, infinite where nothing is assumed
+    offset_information: np.ndarray  # (postures, postures) of the offsets about zero, 1/rad²
 
     @classmethod
-    def of(cls, data: BundleData, state: BundleState, board: BoardShape, start: CameraCalibration) -> "_Problem":
+    def of(
+        cls,
+        data: BundleData,
+        state: BundleState,
+        board: BoardShape,
+        start: CameraCalibration,
+        path_drift_mm2: np.ndarray,
+    ) -> "_Problem":
         layout = Layout(
             instrument=state.instrument.parameters,
             spots=len(board.nominal),
@@ -148,7 +169,8 @@ class _Problem:
         sd[camera.parameters : layout.instrument] = _field_sd(projector.field, *_PROJECTOR_SD_RAD)
         sd[layout.print] = max(start.print_sd_mm, _LEAST_PRINT_SD_MM)
         sd[layout.bow] = sd[layout.shape] = _SHAPE_SD_MM
-        return cls(data, board, layout, sd)
+        drift = projector.density**2 * path_drift_mm2 + _LEAST_OFFSET_SD_RAD**2 * np.eye(layout.postures)
+        return cls(data, board, layout, sd, np.linalg.inv(drift))
 
     def rows(self, state: BundleState) -> list[Rows]:
         """Posture by posture, then plane by plane."""
@@ -216,6 +238,7 @@ def _start(data: BundleData, start: CameraCalibration, board: BoardShape, height
         world_from_board=world_from_board,
         planes=np.column_stack([heights_mm, np.zeros((len(heights_mm), 2))]),
         shape_mm=np.zeros(3),
+        offsets_rad=np.zeros(len(data.spots)),
     )
 
 
@@ -256,7 +279,10 @@ def _evaluate(problem: _Problem, state: BundleState, weights: _Weights) -> tuple
     moved = frame @ state.print_mm.ravel()
     matrix[printed, printed] += frame.T @ frame
     gradient[printed] -= frame.T @ moved
-    return float(cost + known @ known + moved @ moved), matrix, gradient
+    offsets, held = problem.layout.offsets, problem.offset_information @ state.offsets_rad
+    matrix[offsets, offsets] += problem.offset_information
+    gradient[offsets] -= held
+    return float(cost + known @ known + moved @ moved + state.offsets_rad @ held), matrix, gradient
 
 
 def _solve(problem: _Problem, state: BundleState, weights: _Weights) -> tuple[BundleState, np.ndarray]:

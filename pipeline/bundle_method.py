@@ -10,6 +10,7 @@ from .bundle import Bundle, solve_bundle
 from .bundle_data import BundleData, PlaneBlocks, block_averages
 from .calibration import Calibration, Residuals
 from .calibration_data import CalibrationData
+from .instrument_model import InstrumentModel
 from .phase_height import MIN_PLANES
 from .pixel_maps import model_maps, plane_residuals
 
@@ -34,7 +35,8 @@ def calibrate_by_bundle(data: CalibrationData) -> Calibration:
     blocks = tuple(block_averages(phase) for phase in (data.phase_at_zero, *data.phases))
     _check(blocks)
     readings = np.concatenate([[0.0], data.readings_mm])
-    bundle = solve_bundle(BundleData(data.spots, data.spot_phases, blocks), data.camera, data.board, readings)
+    observed = BundleData(data.spots, data.spot_phases, blocks)
+    bundle = solve_bundle(observed, data.camera, data.board, readings, path_drift(data))
 
     def surface(k: int, xy: np.ndarray) -> np.ndarray:
         return bundle.plane_height(k + 1, xy)
@@ -49,21 +51,22 @@ def calibrate_by_bundle(data: CalibrationData) -> Calibration:
             f"no pixel has a valid phase in {MIN_PLANES} or more of the {len(data.phases)} planes: check that the "
             "board's blank side is lit by the projector and seen by the camera"
         )
-    return Calibration(
-        method="bundle",
+    return data.calibration(
+        "bundle",
         camera=instrument.camera.camera,
         camera_from_world=instrument.camera.camera_from_world,
         rays=rays,
         phase_height=relation,
-        identity=data.identity,
-        board=data.board,
-        procedure=data.procedure,
-        run=data.run,
-        exposures=data.exposures,
-        point_spread=data.point_spread,
-        figures=_figures(data, bundle, heights, int(relation.valid.sum()), planes.blocks_um),
+        figures={
+            **posture_figures(bundle),
+            "block_noise_rad": float(bundle.noise[2]),
+            **depth_figures(instrument, float(heights.min()), float(heights.max())),
+            "planes": len(heights),
+            "plane_residual_um": float(np.sqrt(np.nanmean(planes.blocks_um**2))),
+            "stage_departure_um": 1e3 * float(np.std(heights - data.readings_mm)),
+        },
         residuals=Residuals(
-            centres_px=np.array([spots.centres_px for spots in data.spots]),
+            centres_px=data.centres_px,
             spots_px=bundle.residuals_px,
             spot_phases_rad=bundle.residuals_rad,
             planes_um=planes.blocks_um,
@@ -71,6 +74,12 @@ def calibrate_by_bundle(data: CalibrationData) -> Calibration:
         ),
         instrument=instrument,
     )
+
+
+def path_drift(data: CalibrationData) -> np.ndarray:
+    """Covariance (postures, postures) mm² of a random walk along the postures, that of min(t, t') per unit of time."""
+    time = data.exposures_at_postures / data.procedure.exposures
+    return data.uncertainty.path_drift_mm**2 * np.minimum.outer(time, time)
 
 
 def _check(planes: tuple[PlaneBlocks, ...]) -> None:
@@ -83,22 +92,14 @@ def _check(planes: tuple[PlaneBlocks, ...]) -> None:
             )
 
 
-def _figures(
-    data: CalibrationData, bundle: Bundle, heights_mm: np.ndarray, pixels: int, planes_um: np.ndarray
-) -> dict[str, Any]:
-    """What the bundle says about itself."""
+def posture_figures(bundle: Bundle) -> dict[str, Any]:
+    """What a bundle says about postures, spots and camera."""
     state = bundle.state
     rmse_u, rmse_v = np.sqrt(np.nanmean(bundle.residuals_px**2, axis=(0, 1)))
-    ends = np.array([[0.0, 0.0, heights_mm.min()], [0.0, 0.0, heights_mm.max()]])
-    covariance = state.instrument.point_covariance(ends)
-    across = covariance[5, 5] + covariance[2, 2] - 2 * covariance[2, 5]
     return {
-        "method": "bundle",
-        "postures_used": len(data.spots),
         "spots_used": int(np.isfinite(bundle.residuals_px).all(axis=-1).sum()),
         "spot_phases_used": int(np.isfinite(bundle.residuals_rad).sum()),
         "outliers": int(bundle.outliers.sum()),
-        "postures_without_board": data.missing,
         "reprojection_rmse_u_px": float(rmse_u),
         "reprojection_rmse_v_px": float(rmse_v),
         "skew_angle_deg": state.instrument.camera.camera.skew_angle_deg,
@@ -106,12 +107,11 @@ def _figures(
         "bow_um": 1e3 * float(np.ptp(bundle.board.bow_terms @ state.bow_mm)),
         "spot_noise_px": float(bundle.noise[0]),
         "spot_phase_noise_rad": float(bundle.noise[1]),
-        "block_noise_rad": float(bundle.noise[2]),
-        "depth_sd_um": 1e3 * float(np.sqrt(across)),  # of the distance between the outermost planes
-        "planes": len(heights_mm),
-        "z_low_mm": float(heights_mm.min()),
-        "z_high_mm": float(heights_mm.max()),
-        "calibrated_pixels": pixels,
-        "plane_residual_um": float(np.sqrt(np.nanmean(planes_um**2))),
-        "stage_departure_um": 1e3 * float(np.std(heights_mm - data.readings_mm)),
     }
+
+
+def depth_figures(instrument: InstrumentModel, z_low_mm: float, z_high_mm: float) -> dict[str, float]:
+    """The calibrated depth in the middle of the field, and how well its length is known."""
+    covariance = instrument.point_covariance(np.array([[0.0, 0.0, z_low_mm], [0.0, 0.0, z_high_mm]]))
+    across = covariance[5, 5] + covariance[2, 2] - 2 * covariance[2, 5]
+    return {"depth_sd_um": 1e3 * float(np.sqrt(across)), "z_low_mm": z_low_mm, "z_high_mm": z_high_mm}

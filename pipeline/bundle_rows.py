@@ -51,12 +51,14 @@ def posture_rows(state: BundleState, layout: Layout, board: BoardShape, data: Bu
     residual = np.empty((len(spots), 3))
     residual[:, :2] = found.centres_px - pixel - ellipse
     to_image = pixel - found.centres_px
-    residual[:, 2] = measured.phase_rad + np.sum(measured.gradient_rad * to_image, axis=1) - phase
+    residual[:, 2] = (
+        measured.phase_rad + np.sum(measured.gradient_rad * to_image, axis=1) - phase - state.offsets_rad[k]
+    )
 
     gradient = np.nan_to_num(measured.gradient_rad)[:, None]  # (spots, 1, 2)
     by_point = np.concatenate([pixel_by_point, phase_by_point[:, None] - gradient @ pixel_by_point], axis=1)
-    pose_columns = np.r_[layout.posture(k)]
-    jacobian = np.zeros((len(spots), 3, layout.shape.start + len(pose_columns)))
+    own_columns = np.r_[layout.offsets.start + k, layout.posture(k)]
+    jacobian = np.zeros((len(spots), 3, layout.shape.start + len(own_columns)))
     jacobian[:, :2, : camera.parameters] = pixel_by_camera
     jacobian[:, 2:, : camera.parameters] = -gradient @ pixel_by_camera
     jacobian[:, 2, camera.parameters : layout.instrument] = phase_by_projector
@@ -64,10 +66,11 @@ def posture_rows(state: BundleState, layout: Layout, board: BoardShape, data: Bu
     for axis in range(2):
         jacobian[each, :, layout.print.start + 2 * each + axis] = by_point @ rotation[:, axis]
     jacobian[:, :, layout.bow] = (by_point @ rotation[:, 2])[..., None] * board.bow_terms[:, None]
-    if len(pose_columns):
+    jacobian[:, 2, layout.shape.start] = 1.0
+    if len(own_columns) > 1:
         jacobian[:, :, -6:-3] = by_point @ -cross_matrices(turned)
         jacobian[:, :, -3:] = by_point
-    columns = np.r_[0 : layout.shape.start, pose_columns].astype(int)
+    columns = np.r_[0 : layout.shape.start, own_columns].astype(int)
     return Rows(residual.ravel(), jacobian.reshape(3 * len(spots), -1), columns)
 
 

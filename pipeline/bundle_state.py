@@ -67,6 +67,9 @@ class BundleState:
         Height over the origin and slopes along x and y of each blank plane.
     shape_mm : (3,)
         Of the blank face, the same in all planes: what x², x y and y² in units of ``BoardShape.scale_mm`` add.
+    offsets_rad : (postures,)
+        What the projector's path had drifted by in each posture, as phase. In a plane the same would look like another
+        height of it, which is free.
     """
 
     instrument: InstrumentModel
@@ -75,6 +78,7 @@ class BundleState:
     world_from_board: np.ndarray
     planes: np.ndarray
     shape_mm: np.ndarray
+    offsets_rad: np.ndarray
 
     def spots(self, board: BoardShape) -> np.ndarray:
         """Centres (spots, 3) in the board's frame."""
@@ -94,7 +98,8 @@ class BundleState:
 
 @dataclass(frozen=True)
 class Layout:
-    """Where each unknown stands: instrument, print, bow, shape of the blank face, postures but the flat one, planes.
+    """Where each unknown stands: instrument, print, bow, shape of the blank face, offsets of the postures' phases,
+    postures but the flat one, planes.
 
     Parameters
     ----------
@@ -123,17 +128,21 @@ class Layout:
         return slice(self.bow.stop, self.bow.stop + 3)
 
     @property
+    def offsets(self) -> slice:
+        return slice(self.shape.stop, self.shape.stop + self.postures)
+
+    @property
     def size(self) -> int:
         """Of the whole vector."""
-        return self.shape.stop + 6 * (self.postures - 1) + 3 * self.planes
+        return self.offsets.stop + 6 * (self.postures - 1) + 3 * self.planes
 
     def posture(self, k: int) -> slice:
         """Rotation vector and shift of a posture; empty for the flat one."""
-        first = self.shape.stop + 6 * (k - (k > self.reference))
+        first = self.offsets.stop + 6 * (k - (k > self.reference))
         return slice(first, first + (0 if k == self.reference else 6))
 
     def plane(self, k: int) -> slice:
-        first = self.shape.stop + 6 * (self.postures - 1) + 3 * k
+        first = self.offsets.stop + 6 * (self.postures - 1) + 3 * k
         return slice(first, first + 3)
 
     def moved(self, state: BundleState, step: np.ndarray) -> BundleState:
@@ -149,6 +158,7 @@ class Layout:
             world_from_board=poses,
             planes=state.planes + step[self.size - 3 * self.planes :].reshape(-1, 3),
             shape_mm=state.shape_mm + step[self.shape],
+            offsets_rad=state.offsets_rad + step[self.offsets],
         )
 
 

@@ -37,6 +37,11 @@ class ProjectorModel:
     field: DepthField
     coefficients: np.ndarray
 
+    @property
+    def density(self) -> float:
+        """Phase per mm across the fringes at the world's origin, rad/mm."""
+        return float(np.hypot(*(self.row[1:3] - self.row[0] * self.row[4:6])))
+
     def phase(self, xyz_world: np.ndarray) -> np.ndarray:
         """Absolute phase (n,) at points (n, 3)."""
         picture, _ = _picture(self.row, xyz_world)

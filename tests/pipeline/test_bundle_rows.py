@@ -50,6 +50,7 @@ def problem(spot_board):
         world_from_board=poses,
         planes=np.array([[-1.2, 0.01, -0.005], [0.9, -0.004, 0.008]]),
         shape_mm=rng.normal(0, 5e-3, 3),
+        offsets_rad=rng.normal(0, 1e-3, 3),
     )
     layout = Layout(instrument.parameters, count, 3, 2, REFERENCE)
     # As measured: what the state says, somewhat off.

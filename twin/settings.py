@@ -105,11 +105,15 @@ class StabilitySettings(BaseModel):
 
 
 class BoardSettings(BaseModel):
-    """How well the calibration board and the second board are made, see ``greenough.scenes.board.BoardErrors``."""
+    """How well the calibration board and the second board are made, see ``greenough.scenes.board.BoardErrors``.
+
+    ``scale_error_ppm`` is a known error of the calibration board alone, against the drawing that the rig file states.
+    """
 
     model_config = _STRICT
     print_sd_um: Size = 0.6
     scale_sd_ppm: Size = 30.0
+    scale_error_ppm: Annotated[float, Field(ge=-5e4, le=5e4)] = 0.0
     bow_sd_um: Size = 2.0
     wedge_sd_urad: Size = 50.0
     ink_thickness_um: Size = 1.0

@@ -37,7 +37,7 @@ EFFECTS: dict[str, Effect] = {
     "stage: pitch and roll": Effect(("twin.stage.pitch_roll_sd_urad=0",)),
     "stage: axis": Effect(("twin.stage.axis_sd_deg=0",)),
     "board: print": Effect(("twin.board.print_sd_um=0",)),
-    "board: scale": Effect(("twin.board.scale_sd_ppm=0",)),
+    "board: scale": Effect(("twin.board.scale_sd_ppm=0", "twin.board.scale_error_ppm=0")),
     "board: bow": Effect(("twin.board.bow_sd_um=0",)),
     "board: wedge": Effect(("twin.board.wedge_sd_urad=0",)),
     "board: ink": Effect(("twin.board.ink_thickness_um=0",)),

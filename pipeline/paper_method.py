@@ -32,23 +32,14 @@ def calibrate_by_paper(data: CalibrationData) -> Calibration:
     corners = np.array([[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in data.readings_mm[[0, -1]]])
     corners[:, :2] *= _VOLUME_MM
     variances = np.linalg.eigvalsh(camera.projected_covariance(corners))
-    return Calibration(
-        method="paper",
+    return data.calibration(
+        "paper",
         camera=camera.camera,
         camera_from_world=camera.camera_from_world,
         rays=rays,
         phase_height=fit.relation,
-        identity=data.identity,
-        board=data.board,
-        procedure=data.procedure,
-        run=data.run,
-        exposures=data.exposures,
-        point_spread=data.point_spread,
         figures={
-            "method": "paper",
-            "postures_used": len(data.spots),
             "spots_used": int(np.isfinite(camera.residuals_px).all(axis=-1).sum()),
-            "postures_without_board": data.missing,
             "reprojection_rmse_u_px": float(rmse_u),
             "reprojection_rmse_v_px": float(rmse_v),
             "skew_angle_deg": camera.camera.skew_angle_deg,
@@ -58,13 +49,12 @@ def calibrate_by_paper(data: CalibrationData) -> Calibration:
             "planes": len(data.readings_mm),
             "z_low_mm": float(data.readings_mm.min()),
             "z_high_mm": float(data.readings_mm.max()),
-            "calibrated_pixels": int(fit.relation.valid.sum()),
             "phase_height_condition": fit.condition,
             "phase_height_residual_um": float(np.nanmedian(fit.residual_um)),
             "plane_residual_um": float(np.sqrt(np.mean(fit.plane_residual_um**2))),
         },
         residuals=Residuals(
-            centres_px=np.array([spots.centres_px for spots in data.spots]),
+            centres_px=data.centres_px,
             spots_px=camera.residuals_px,
             spot_phases_rad=np.full(camera.residuals_px.shape[:2], np.nan),
             planes_um=planes.blocks_um,

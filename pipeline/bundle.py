@@ -70,7 +70,8 @@ class Bundle:
     plane_residuals_rad : tuple of (blocks,) arrays
         The same of each plane's blocks.
     noise : (3,)
-        Standard deviations that centres (px), phases at spots (rad) and block averages (rad) show.
+        Standard deviations that centres (px), phases at spots (rad) and block averages (rad) show; NaN where there are
+        none.
     outliers : (3,) int
         How many of each were left out.
     """
@@ -98,7 +99,8 @@ def solve_bundle(
     """Fit everything to everything by Gauss-Newton with damping.
 
     Each observation is weighted by its own variance plus one that is common to its kind and comes from the residuals.
-    Observations more than five standard deviations off are left out.
+    Observations more than five standard deviations off are left out. Without planes, the postures tell all; the shape
+    of the blank face then stays at zero, where its prior has it.
 
     Parameters
     ----------
@@ -114,9 +116,9 @@ def solve_bundle(
     Raises
     ------
     InputError
-        If there are too few planes, or too few phases at spots.
+        If there are some planes but too few, or too few phases at spots.
     """
-    if len(data.planes) < MIN_PLANES:
+    if 0 < len(data.planes) < MIN_PLANES:
         raise InputError(
             f"the bundle cannot be fitted to {len(data.planes)} blank planes: at least {MIN_PLANES} are needed; raise "
             "procedure.planes in the rig file"
@@ -326,8 +328,8 @@ def _reweighted(problem: _Problem, state: BundleState, weights: _Weights, inform
         kept.append(np.isfinite(alone))
         residuals.append(rows.residual)
         shares.append(np.clip(1.0 - leverage, _LEAST_SHARE, 1.0))
-    noise = np.empty(3)
-    for kind in (CENTRES, SPOT_PHASES, BLOCKS):
+    noise = np.full(3, np.nan)
+    for kind in (CENTRES, SPOT_PHASES, BLOCKS) if problem.data.planes else (CENTRES, SPOT_PHASES):
         chosen = [used & (which == kind) for used, which in zip(kept, kinds, strict=True)]
         normalised = [r / np.sqrt(v * s) for r, v, s in zip(residuals, weights.variance, shares, strict=True)]
         least = _LEAST_SD[kind] / np.sqrt(np.median(_picked(weights.variance, chosen)))

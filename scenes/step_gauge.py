@@ -1,17 +1,22 @@
 """A step gauge: a flat plate with three ridges and three grooves of certified heights.
 
-Ridges stand in the upper lane (+y), grooves lie in the lower one, all along y and each of the same width as the
-plateaus between them. So every step is of the kind that ISO 5436-1 calls type A1 and has room for its windows: a third
-of the width in the middle of the step, and as much of both plateaus, a third away from its walls. The plateaus are at
-z = 0. The walls are vertical; as deep as the deepest groove is, their shadows stay shorter than a third of the width.
+Ridges stand in the upper lane (+y), grooves lie in the lower one, all along y. Every step is of the kind that ISO
+5436-1 calls type A1 and has room for its window of three times its width W: the middle third of the step, and plateaus
+from W / 3 to W away from its walls. The plateaus, at z = 0, go on for another half width before the next step. The walls
+are vertical; as deep as the deepest groove is, their shadows stay shorter than W / 3.
 """
+
+from collections.abc import Sequence
 
 import numpy as np
 
 from .parts import Part, Specimen, merge
 
-WIDTH_MM = 1.1
-"""Of ridges, grooves and the plateaus between them."""
+WIDTH_MM = 0.8
+"""Of ridges and grooves."""
+
+PLATEAU_MM = 1.2
+"""Of the plateaus between and beside them."""
 
 RIDGES_MM = (0.3, 0.7, 1.1)
 GROOVES_MM = (-0.5, -0.9, -1.3)
@@ -31,10 +36,11 @@ def step_gauge(seed: int) -> Specimen:
     """
     nominal = np.array([*RIDGES_MM, *GROOVES_MM])
     heights = nominal + _SD_MM * np.random.default_rng(seed).standard_normal(len(nominal))
+    apart = WIDTH_MM + PLATEAU_MM
     boxes = np.array(
-        [((left, left + WIDTH_MM), lane) for lane in LANES_MM for left in (np.array([-2.5, -0.5, 1.5]) * WIDTH_MM)]
+        [((middle - WIDTH_MM / 2, middle + WIDTH_MM / 2), lane) for lane in LANES_MM for middle in (-apart, 0.0, apart)]
     )
-    half_width = 3.5 * WIDTH_MM
+    half_width = 1.5 * WIDTH_MM + 2 * PLATEAU_MM
     x = np.array([-half_width, *np.unique(boxes[:, 0]), half_width])
     y = np.array([-_HALF_HEIGHT_MM, *np.unique(boxes[:, 1]), _HALF_HEIGHT_MM])
     level = np.zeros((len(y) - 1, len(x) - 1))  # of each cell
@@ -54,7 +60,8 @@ def step_gauge(seed: int) -> Specimen:
     return Specimen(
         "step-gauge",
         (part,),
-        {"width_mm": WIDTH_MM} | {f"step_{index}_mm": float(height) for index, height in enumerate(nominal)},
+        {"width_mm": WIDTH_MM, "plateau_mm": PLATEAU_MM}
+        | {f"step_{index}_mm": float(height) for index, height in enumerate(nominal)},
         {"step_heights_mm": heights, "step_boxes_mm": boxes},
     )
 
@@ -83,5 +90,5 @@ def _walls(x: np.ndarray, y: np.ndarray, level: np.ndarray) -> list[Part]:
     return walls
 
 
-def _quad(corners: list[tuple[float, float, float]]) -> Part:
+def _quad(corners: Sequence[Sequence[float | np.ndarray]]) -> Part:
     return Part(np.array(corners, float), np.array([[0, 1, 2], [0, 2, 3]], np.int32), None, "matte")

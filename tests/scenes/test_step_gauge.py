@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from greenough.scenes.step_gauge import GROOVES_MM, RIDGES_MM, WIDTH_MM, step_gauge
+from greenough.scenes.step_gauge import GROOVES_MM, PLATEAU_MM, RIDGES_MM, WIDTH_MM, step_gauge
 
 LEAN = np.tan(np.radians(7.0))  # of a light path: half of the convergence, the field's and the assembly's error
 
@@ -36,8 +36,8 @@ def test_steps_have_their_certified_heights_over_their_whole_floors_and_plateaus
     ):
         y = rng.uniform(low, high, 50)
         np.testing.assert_allclose(height(mesh, rng.uniform(left, right, 50), y), step, atol=1e-9)
-        for beside in (left - WIDTH_MM, right):
-            np.testing.assert_allclose(height(mesh, beside + rng.uniform(0, WIDTH_MM, 50), y), 0, atol=1e-9)
+        for beside in (left - PLATEAU_MM, right):
+            np.testing.assert_allclose(height(mesh, beside + rng.uniform(0, PLATEAU_MM, 50), y), 0, atol=1e-9)
 
 
 def test_heights_are_not_quite_the_nominal_ones():
@@ -54,8 +54,9 @@ def test_at_least_five_steps_go_over_most_of_the_range_and_no_two_are_equal(gaug
 
 
 def test_shadows_of_walls_stay_out_of_the_windows(gauge):
-    # Windows begin a third of the width from each wall.
-    assert np.abs(gauge.as_built["step_heights_mm"]).max() * LEAN < WIDTH_MM / 3
+    shadow = np.abs(gauge.as_built["step_heights_mm"]).max() * LEAN
+    assert shadow < WIDTH_MM / 3  # from there on the plateau counts, and so far the bottom does not
+    assert PLATEAU_MM - shadow > WIDTH_MM  # as far as the plateau counts
 
 
 def test_the_surface_has_no_gaps(mesh):

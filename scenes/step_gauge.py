@@ -2,8 +2,8 @@
 
 Ridges stand in the upper lane (+y), grooves lie in the lower one, all along y. Every step is of the kind that ISO
 5436-1 calls type A1 and has room for its window of three times its width W: the middle third of the step, and plateaus
-from W / 3 to W away from its walls. The plateaus, at z = 0, go on for another half width before the next step. The walls
-are vertical; as deep as the deepest groove is, their shadows stay shorter than W / 3.
+from W / 3 to W away from its walls. The plateaus, at z = 0, go on for another half width before the next step. The
+walls are vertical; as deep as the deepest groove is, their shadows stay shorter than W / 3.
 """
 
 from collections.abc import Sequence

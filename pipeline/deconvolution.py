@@ -28,6 +28,7 @@ from scipy.ndimage import distance_transform_edt
 from greenough.instrument.errors import InputError
 
 from .decode import PhaseMap
+from .jit import dr
 from .local_planes import LocalPlanes
 from .phasor_filter import linear_course
 from .point_spread import PointSpread
@@ -229,8 +230,8 @@ class _Blur:
         picture = picture.astype(np.complex64)
         spectrum = np.zeros(self.shape, np.complex64)
         for share, transfer in self.layers:
-            spectrum += np.asarray(fft.fft2(picture * share, workers=-1)) * transfer
-        return np.asarray(fft.ifft2(spectrum, workers=-1))
+            spectrum += np.asarray(fft.fft2(picture * share, workers=dr.thread_count())) * transfer
+        return np.asarray(fft.ifft2(spectrum, workers=dr.thread_count()))
 
     def transposed(self, picture: np.ndarray) -> np.ndarray:
         """What each pixel's light meets of a real picture."""
@@ -242,13 +243,13 @@ class _Blur:
 
 def _convolved(picture: np.ndarray, transfer: np.ndarray) -> np.ndarray:
     """Real picture by a real transfer function in the order of ``fft2``."""
-    spectrum = np.asarray(fft.rfft2(picture.astype(np.float32), workers=-1))
-    return np.asarray(fft.irfft2(spectrum * transfer[:, : spectrum.shape[1]], picture.shape, workers=-1))
+    spectrum = np.asarray(fft.rfft2(picture.astype(np.float32), workers=dr.thread_count()))
+    return np.asarray(fft.irfft2(spectrum * transfer[:, : spectrum.shape[1]], picture.shape, workers=dr.thread_count()))
 
 
 def _kernel(transfer: np.ndarray) -> np.ndarray:
     """Real response, its middle at the first pixel, of a transfer function."""
-    return np.real(np.asarray(fft.ifft2(transfer, workers=-1)))
+    return np.real(np.asarray(fft.ifft2(transfer, workers=dr.thread_count())))
 
 
 def _noise_gain(
@@ -272,7 +273,7 @@ def _noise_gain(
 
     def gathered(kernel: np.ndarray) -> np.ndarray:
         """Variance from around through an even kernel of squares."""
-        return np.maximum(_convolved(variance, np.real(np.asarray(fft.fft2(kernel, workers=-1)))), 0)
+        return np.maximum(_convolved(variance, np.real(np.asarray(fft.fft2(kernel, workers=dr.thread_count())))), 0)
 
     own, others = (np.zeros(blur.shape, np.float32) for _ in range(2))
     for share, transfer in blur.layers:
@@ -285,6 +286,9 @@ def _noise_gain(
         from_phase, spread = _kernel(passed), _kernel(transfer)
         own += share * from_phase[0, 0] ** 2
         from_phase[0, 0] = 0
-        across, down = (_kernel(np.asarray(fft.fft2(spread * at, workers=-1)) * deconvolved) for at in (u, v[:, None]))
+        across, down = (
+            _kernel(np.asarray(fft.fft2(spread * at, workers=dr.thread_count())) * deconvolved)
+            for at in (u, v[:, None])
+        )
         others += share * (gathered(from_phase**2) + gradient_square * gathered((across**2 + down**2) / 2))
     return own, others

@@ -18,6 +18,8 @@ import numpy as np
 
 from greenough.instrument.errors import InputError
 
+from .jit import dr
+
 COEFFICIENTS = ("m1", "m0", "n1", "r3")
 MIN_PLANES = 2 * len(COEFFICIENTS)
 """Planes a pixel must be valid in to be calibrated: two per coefficient."""
@@ -31,7 +33,6 @@ SLOPE_TOLERANCE = 0.1
 varies by 2 %; a pixel that sees the board's side wall, which passes by as the stage moves, has another one."""
 
 _BLOCK_PIXELS = 8192  # 30 planes of a block in float64 stay in the processor's cache
-_THREADS = 2
 _REFINEMENTS = 2
 _INVERSE_STEPS = 4  # r3 w³ is a few micrometres: each squares the error
 
@@ -201,7 +202,7 @@ def fit_phase_height(phases: np.ndarray, z_mm: np.ndarray) -> PhaseHeightFit:
         residual_um[block] = 1e3 * fitted.rms
         return fitted.residual_sum, fitted.residual_count
 
-    with ThreadPoolExecutor(_THREADS) as pool:
+    with ThreadPoolExecutor(dr.thread_count()) as pool:
         sums, counts = zip(*pool.map(fit, _blocks(rows * cols)), strict=True)
     slope = (z_range[:, 1] - z_range[:, 0]) / half_range
     with np.errstate(invalid="ignore"):

@@ -12,11 +12,11 @@ from scipy.interpolate import RectBivariateSpline
 
 from .bundle_data import block_map
 from .instrument_model import InstrumentModel
+from .jit import dr
 from .phase_height import MISFIT_RAD, PhaseHeight, fit_phase_height
 from .rays import Rays
 
 _GRID_PX = 8
-_THREADS = 2
 _HEIGHTS = 16  # at which the relation is fitted to the model: four times its coefficients
 
 Surface = Callable[[int, np.ndarray], np.ndarray]
@@ -110,6 +110,6 @@ def plane_residuals(relation: PhaseHeight, rays: Rays, phases: np.ndarray, surfa
         seen = count[strip] > 0
         pixels[strip] = np.where(seen, 1e3 * np.sqrt(squares / np.maximum(count[strip], 1)), np.nan)
 
-    with ThreadPoolExecutor(_THREADS) as pool:
+    with ThreadPoolExecutor(dr.thread_count()) as pool:
         list(pool.map(compare, range(0, rows, side)))
     return PlaneResiduals(blocks, pixels, count)

@@ -141,8 +141,8 @@ def _independent(departures: np.ndarray, measured: np.ndarray, degrees: int) -> 
 
     The variance of Gaussian values' mean square is 2 / n² Σ_ij c_ij² with their covariances c. Where the variance
     changes over the map as σ² and the correlation ρ depends on the lag alone, that is 2 K S mean(σ²)² / n. There
-    K = mean(σ⁴) / mean(σ²)² is a third of the departures' kurtosis, and S = Σ_l N_l ρ_l² / n over lags l with N_l pairs,
-    hence n_eff = n / (K S). An estimated ρ_l² is too high by S / (N_l ``degrees``) (Bartlett 1946), which the divisor
+    K = mean(σ⁴) / mean(σ²)² is a third of the departures' kurtosis and S = Σ_l N_l ρ_l² / n over lags l with N_l pairs:
+    n_eff = n / (K S). An estimated ρ_l² is too high by S / (N_l ``degrees``) (Bartlett 1946), which the divisor
     takes back: S = (n + Σ N_l ρ_l²) / (n + L / degrees), both over the L lags but 0.
     """
     rows, cols = measured.shape

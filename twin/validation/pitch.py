@@ -6,6 +6,7 @@ import numpy as np
 
 from greenough.instrument.contract import Placement, SpotBoard
 from greenough.pipeline.decode import PhaseMap
+from greenough.pipeline.spot_points import REACH, spot_points
 from greenough.pipeline.spots import Spots, detect_spots
 
 from .claims import Claim
@@ -23,7 +24,6 @@ ERROR_MEAN_LIMIT_UM, ERROR_SD_LIMIT_UM = 0.1, 0.3
 """Of distances on a board that the calibration has not seen, against the distances that were printed."""
 
 FILTER = "phase averaged over each spot"
-_REACH = 0.8  # of a spot's half axis, within which its heights are used
 
 
 def pitch_claims(setups: Sequence[Setup]) -> Iterator[Claim]:
@@ -36,7 +36,7 @@ def pitch_claims(setups: Sequence[Setup]) -> Iterator[Claim]:
         spots = detect_spots(phase_map.background, setups[0].calibration.board)
         for setup in setups:
             noise = distance_noise(setup, phase_map, spots, centre_px)
-            yield from board_claims(setup, part, prefix, spot_points(setup, phase_map, spots), noise)
+            yield from board_claims(setup, part, prefix, spot_points(phase_map, spots, setup.calibration), noise)
 
 
 def board_claims(setup: Setup, part: str, prefix: str, centres: np.ndarray, noise: float) -> Iterator[Claim]:
@@ -89,31 +89,8 @@ def distance_noise(setup: Setup, phase_map: PhaseMap, spots: Spots, centre_px: f
     """
     pixel = setup.bench.settings.optics.pupil_distance_mm / setup.calibration.camera.fx
     height = rms(setup.height_sigma(phase_map)[phase_map.valid])
-    pixels_within = np.pi * (_REACH * np.nanmedian(spots.axes_px)) ** 2
+    pixels_within = np.pi * (REACH * np.nanmedian(spots.axes_px)) ** 2
     return float(np.sqrt(2) * np.hypot(pixel * centre_px, height / np.sqrt(pixels_within)))
-
-
-def spot_points(setup: Setup, phase_map: PhaseMap, spots: Spots) -> np.ndarray:
-    """Spots' centres in the calibrated frame, (spots, 3) mm, NaN where unseen.
-
-    The height at a centre is that of the plane through the heights of the pixels within the spot; x and y follow on
-    the camera's ray through the centre. The small difference of an ellipse's and a circle's centre is left in.
-    """
-    z = setup.calibration.phase_height.height(phase_map.absolute)
-    points = np.full((len(spots.seen), 3), np.nan)
-    for k in np.flatnonzero(spots.seen):
-        (u, v), reach = spots.centres_px[k], _REACH * spots.axes_px[k].min()
-        cols = np.arange(int(np.ceil(u - reach)), int(u + reach) + 1)
-        rows = np.arange(int(np.ceil(v - reach)), int(v + reach) + 1)
-        du, dv = np.meshgrid(cols - u, rows - v)
-        inside = (du**2 + dv**2 <= reach**2) & np.isfinite(z[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1])
-        if inside.sum() < 6:
-            continue
-        design = np.column_stack([np.ones(inside.sum()), du[inside], dv[inside]])
-        heights = z[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1][inside]
-        height = np.linalg.lstsq(design, heights, rcond=None)[0][:1]
-        points[k] = setup.calibration.rays.points_at(spots.centres_px[k : k + 1], height)[0]
-    return points
 
 
 def all_pairs(board: SpotBoard) -> np.ndarray:

@@ -1,0 +1,136 @@
+"""Mapping deviation in x and y by the marks of a cross or dot grating, after ISO 25178-600 and -700.
+
+Certified positions are taken onto the measured ones by a similarity, as nobody knows how the grating lay; what is left
+is the mapping deviation. Its scale is a result and not a deviation: where the grating's certificate is independent of
+what calibrated the instrument, it is the test of the instrument's scale.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from greenough.instrument.errors import InputError
+
+from .flatness import fit_plane
+
+LEAST_MARKS = 6
+
+
+@dataclass(frozen=True, eq=False)
+class MappingDeviation:
+    """Measured against certified positions of a grating's marks.
+
+    Parameters
+    ----------
+    n : int
+        Marks that were measured, of ``of``.
+    of : int
+        Marks of the grating.
+    scale, rotation : float
+        Of the best similarity from certified to measured, 1 and rad.
+    deviations : (of, 2) float64
+        Measured position less that of the similarity, mm; NaN where a mark was not measured.
+    largest : float
+        Length of the longest deviation, mm.
+    rms : float
+        Root mean square length of the deviations, mm.
+    alpha_x, alpha_y : float
+        Amplification coefficients along the instrument's axes: those of the best affine map, after a rotation, from
+        certified to measured.
+    squareness : float
+        By how much the angle between the instrument's axes, as they appear in a measurement, exceeds a right one, rad.
+    """
+
+    n: int
+    of: int
+    scale: float
+    rotation: float
+    deviations: np.ndarray
+    largest: float
+    rms: float
+    alpha_x: float
+    alpha_y: float
+    squareness: float
+
+
+def mapping_deviation(measured: np.ndarray, certified: np.ndarray) -> MappingDeviation:
+    """Mapping deviation from measured and certified positions (n, 2) of the same marks in the same order.
+
+    With positions as complex numbers about their means, the similarity of least squares is multiplication by
+    Σ conj(certified) measured / Σ |certified|². Of the affine map's matrix M = P R, a rotation R followed by a
+    symmetric P that stretches along axes of its own, P is what the instrument does: its diagonal is alpha_x and
+    alpha_y.
+
+    Parameters
+    ----------
+    measured : (n, 2)
+        mm; NaN where a mark was not measured. Marks of a grating that lies tilted come from :func:`in_plane`.
+    certified : (n, 2)
+        mm.
+
+    Raises
+    ------
+    InputError
+        If the arrays do not go together, fewer than 6 marks were measured, or these lie on one line.
+    """
+    measured, certified = np.asarray(measured, dtype=float), np.asarray(certified, dtype=float)
+    if measured.ndim != 2 or measured.shape[1] != 2 or measured.shape != certified.shape:
+        raise InputError(
+            f"measured and certified marks have shapes {measured.shape} and {certified.shape}: both must be (n, 2), in "
+            "the same order"
+        )
+    seen = np.isfinite(measured).all(axis=1)
+    n = int(seen.sum())
+    if n < LEAST_MARKS:
+        raise InputError(f"{n} of the grating's {len(seen)} marks were measured: at least {LEAST_MARKS} are needed")
+    to, start = measured[seen] - measured[seen].mean(axis=0), certified[seen] - certified[seen].mean(axis=0)
+    if np.linalg.matrix_rank(start) < 2:
+        raise InputError(f"the {n} marks that were measured lie on one line: measure marks of several rows")
+    turn = np.vdot(_complex(start), _complex(to)) / np.sum(start**2)
+    best = turn * _complex(start)
+    deviations = np.full(measured.shape, np.nan)
+    deviations[seen] = to - np.stack([best.real, best.imag], axis=-1)
+    lengths = np.hypot(*deviations[seen].T)
+
+    affine = np.linalg.lstsq(start, to, rcond=None)[0].T
+    stretch_axes, stretches, _ = np.linalg.svd(affine)
+    stretch = stretch_axes * stretches @ stretch_axes.T  # P of M = P R
+    return MappingDeviation(
+        n=n,
+        of=len(seen),
+        scale=float(np.abs(turn)),
+        rotation=float(np.angle(turn)),
+        deviations=deviations,
+        largest=float(lengths.max()),
+        rms=float(np.sqrt(np.mean(lengths**2))),
+        alpha_x=float(stretch[0, 0]),
+        alpha_y=float(stretch[1, 1]),
+        squareness=float(_angle(*stretch.T) - np.pi / 2),
+    )
+
+
+def in_plane(points: np.ndarray) -> np.ndarray:
+    """Coordinates (n, 2) of marks (n, 3), some of them NaN, in their own best plane.
+
+    The plane is turned into the horizontal the shortest way, and x and y are those of the turned points about the
+    marks' mean.
+
+    Raises
+    ------
+    InputError
+        If fewer than 4 marks were measured or they lie on one line.
+    """
+    seen = np.isfinite(points).all(axis=1)
+    plane = fit_plane(points[seen])
+    a, b, c = plane.normal
+    # Rodrigues' rotation that takes the normal to (0, 0, 1), c = its cosine >= 0; without its third row.
+    to_level = np.array([[1 - a * a / (1 + c), -a * b / (1 + c), -a], [-a * b / (1 + c), 1 - b * b / (1 + c), -b]])
+    return (points - plane.point) @ to_level.T
+
+
+def _complex(places: np.ndarray) -> np.ndarray:
+    return places[:, 0] + 1j * places[:, 1]
+
+
+def _angle(one: np.ndarray, other: np.ndarray) -> float:
+    return float(np.arccos(one @ other / np.linalg.norm(one) / np.linalg.norm(other)))

@@ -51,6 +51,55 @@ def test_noise_shrinks_to_the_stated_sigma():
     assert measured == pytest.approx(stated.mean(), rel=0.16)
 
 
+@pytest.mark.parametrize("fwhm", [2.0, 4.4, 7.0])
+@pytest.mark.parametrize("along", [True, False])
+def test_half_of_a_wave_passes_at_the_period_that_the_gaussian_says(fwhm, along):
+    """The lateral resolution, measured: waves of several periods in the phase, and where the response crosses 50 %.
+
+    Theory: exp(-2 (pi s / p)²) is a half at p = pi s sqrt(2 / ln 2). The course, a carrier, may be taken out a little
+    wrongly, by the wave's own slope over the picture.
+    """
+    v, u = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    place = u if along else v
+    sigma = fwhm / (2 * np.sqrt(2 * np.log(2)))
+    expected = np.pi * sigma * np.sqrt(2 / np.log(2))
+    periods, responses = expected * np.array([0.8, 0.9, 1.0, 1.1, 1.25]), []
+    inner = (slice(30, -30), slice(30, -30))
+    for period in periods:
+        waves = np.stack([np.cos(2 * np.pi * place / period), np.sin(2 * np.pi * place / period)])
+        filtered = filter_phasors(phase_map(tilted_plane() + 1e-3 * waves[0]), fwhm).absolute - tilted_plane()
+        design = np.stack([*(wave[inner].ravel() for wave in waves), np.ones(waves[0][inner].size)], axis=-1)
+        cosine, sine, _ = np.linalg.lstsq(design, filtered[inner].ravel(), rcond=None)[0]
+        responses.append(np.hypot(cosine, sine) / 1e-3)
+    np.testing.assert_allclose(responses, np.exp(-2 * (np.pi * sigma / periods) ** 2), atol=0.005)
+    measured = np.interp(0.5, responses, periods)
+    assert measured == pytest.approx(expected, rel=0.01)
+    assert measured == pytest.approx(2.266 * fwhm, rel=0.01)
+
+
+@pytest.mark.parametrize(("height", "low", "high"), [(0.5, 0.91, 1.08), (1.0, 0.89, 1.06), (2.5, 0.8, 0.98)])
+def test_noise_of_the_weights_counts_where_neighbours_lie_beside_the_plane(height, low, high):
+    """A step of the phase, measured 300 times, the modulation each time as noisy as the phase.
+
+    The 20 rows at the edge hold about 4 independent values for each column, and 300 repeats 1200: their variance is
+    known to 4 %, that of ten columns together, which are neighbours, to about 2 %. At large steps pixels lie less far
+    beside each other's planes than beside their own, for which they are taken: too much is stated.
+    """
+    rng = np.random.default_rng(5)
+    step = 0.3 * np.arange(40) + np.where(np.arange(40) < 20, 0.0, height) + np.zeros((40, 1))
+    sigma, repeats = 0.03, []
+    for _ in range(300):
+        phase = step + rng.normal(0, sigma, step.shape)
+        seen = (sigma / (1 + rng.normal(0, sigma, step.shape))).astype(np.float32)
+        flat = np.zeros(step.shape, np.float32)
+        one = PhaseMap(phase, flat + 80, flat + 100, np.ones(step.shape, bool), flat, seen)
+        repeats.append(filter_phasors(one, 3.0))
+    edge = (slice(10, 30), slice(15, 25))
+    scatter = np.var([found.absolute[edge] for found in repeats], axis=0, ddof=1).mean()
+    stated = np.mean([found.sigma[edge] ** 2 for found in repeats])
+    assert low < scatter / stated < high
+
+
 def test_brightness_does_not_drag_the_phase():
     """Slopes of a roof, which no linear course of the whole picture takes out, where brightness rises and jumps.
 

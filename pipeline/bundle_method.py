@@ -10,6 +10,7 @@ from .bundle import Bundle, solve_bundle
 from .bundle_data import BundleData, PlaneBlocks, block_averages
 from .calibration import Calibration, Residuals
 from .calibration_data import CalibrationData
+from .calibration_uncertainty import uncertainty_of_model
 from .instrument_model import InstrumentModel
 from .phase_height import MIN_PLANES
 from .pixel_maps import model_maps, plane_residuals
@@ -43,7 +44,8 @@ def calibrate_by_bundle(data: CalibrationData) -> Calibration:
 
     heights = bundle.state.planes[1:, 0]
     instrument = bundle.state.instrument
-    rays, everywhere = model_maps(instrument, float(heights.min()), float(heights.max()))
+    low, high = float(heights.min()), float(heights.max())
+    rays, everywhere = model_maps(instrument, low, high)
     planes = plane_residuals(everywhere, rays, data.phases, surface)
     relation = everywhere.within(everywhere.z_range, planes.count >= MIN_PLANES)
     if not relation.valid.any():
@@ -60,7 +62,7 @@ def calibrate_by_bundle(data: CalibrationData) -> Calibration:
         figures={
             **posture_figures(bundle),
             "block_noise_rad": float(bundle.noise[2]),
-            **depth_figures(instrument, float(heights.min()), float(heights.max())),
+            **depth_figures(instrument, low, high),
             "planes": len(heights),
             "plane_residual_um": float(np.sqrt(np.nanmean(planes.blocks_um**2))),
             "stage_departure_um": 1e3 * float(np.std(heights - data.readings_mm)),
@@ -72,6 +74,7 @@ def calibrate_by_bundle(data: CalibrationData) -> Calibration:
             planes_um=planes.blocks_um,
             pixels_um=np.where(relation.valid, planes.pixels_um, np.nan),
         ),
+        uncertainty=uncertainty_of_model(instrument, low, high, data.uncertainty, data.drift_share),
         instrument=instrument,
     )
 

@@ -10,9 +10,10 @@ import h5py
 import numpy as np
 
 from greenough.instrument import hdf5
-from greenough.instrument.contract import Procedure, RigIdentity, SpotBoard
+from greenough.instrument.contract import KnownUncertainty, Procedure, RigIdentity, SpotBoard
 from greenough.instrument.errors import InputError
 
+from .calibration_uncertainty import CalibrationUncertainty, frame_drift
 from .camera_model import CameraModel
 from .fringes import FringeSet
 from .imaging_path import ImagingPath
@@ -24,9 +25,11 @@ from .projector_model import ProjectorModel
 from .rays import Rays
 
 KIND = "greenough calibration"
-VERSION = 2
+VERSION = 3
 
-Method = Literal["paper", "bundle"]
+_WINDOW_PX = 8  # to either side of the middle, where the fringes' density is taken
+
+Method = Literal["paper", "bundle", "stage-free", "triangulation"]
 
 _ARRAYS = {
     "rays": {"origin": "mm", "slope": "1"},
@@ -43,6 +46,13 @@ _ARRAYS = {
         "spot_phases_rad": "rad",
         "planes_um": "um",
         "pixels_um": "um",
+    },
+    "uncertainty": {
+        "heights_mm": "mm",
+        "grid_v_px": "px",
+        "grid_u_px": "px",
+        "modes_mm": "mm",
+        "pattern_sd_mm": "mm",
     },
 }
 """Parts of a calibration that are arrays, with the units that the file states."""
@@ -96,6 +106,8 @@ class Calibration:
         The board that set the scale.
     procedure : Procedure
         How it was calibrated; measurements use the same fringes.
+    known : KnownUncertainty
+        What the rig stated of errors that no calibration shows.
     run : str
         Name of the run whose exposures went in.
     exposures : int
@@ -103,6 +115,8 @@ class Calibration:
     figures : mapping
         What the fits say about themselves, by name with the unit in the name.
     residuals : Residuals
+    uncertainty : CalibrationUncertainty
+        How far it may displace the points that are measured with it.
     instrument : InstrumentModel or None
         The bundle's global model with its parameters' covariance; the paper's method has none.
     point_spread : PointSpread or None
@@ -117,10 +131,12 @@ class Calibration:
     identity: RigIdentity
     board: SpotBoard
     procedure: Procedure
+    known: KnownUncertainty
     run: str
     exposures: int
     figures: Mapping[str, Any]
     residuals: Residuals
+    uncertainty: CalibrationUncertainty
     instrument: InstrumentModel | None = None
     point_spread: PointSpread | None = None
 
@@ -128,6 +144,32 @@ class Calibration:
     def fringes(self) -> FringeSet:
         """The fringes that the phases belong to."""
         return FringeSet(self.procedure.periods_px, self.procedure.steps)
+
+    def uncertainty_after(self, exposures: int) -> CalibrationUncertainty:
+        """What calibration and drifts may do to points of a run that has taken so many exposures.
+
+        The table's drift displaces all points alike. The path's drift δ moves the fringes across the specimen, and with
+        them each point along its ray, by δ |dΦ/dx| dz/dΦ in height; over the narrow field this hardly varies.
+        """
+        if exposures == 0:
+            return self.uncertainty
+        share = exposures / self.procedure.exposures
+        path = self.known.path_drift_mm * np.sqrt(share) * self._along_ray_per_shift()
+        return self.uncertainty.joined(np.vstack([frame_drift(self.known, share), path]))
+
+    def _along_ray_per_shift(self) -> np.ndarray:
+        """What a unit shift of the fringes across the specimen moves a point by, (3,), in the middle of the picture."""
+        calibrated = np.argwhere(self.phase_height.valid)
+        v, u = calibrated[np.argmin(np.sum((calibrated - calibrated.mean(axis=0)) ** 2, axis=1))]
+        window = slice(max(0, v - _WINDOW_PX), v + _WINDOW_PX + 1), slice(max(0, u - _WINDOW_PX), u + _WINDOW_PX + 1)
+        relation = self.phase_height.of_pixels(window)
+        phase = relation.phase(np.zeros(relation.shape))
+        xy = self.rays.origin[window].reshape(-1, 2)
+        plane = np.column_stack([np.ones(len(xy)), xy])
+        known = np.isfinite(phase).ravel()
+        _, *density = np.linalg.lstsq(plane[known], phase.ravel()[known], rcond=None)[0]
+        rise = float(np.hypot(*density) * np.nanmean(relation.slope(phase)))
+        return rise * np.array([*self.rays.slope[v, u], 1.0])
 
     def check_shape(self, shape: tuple[int, ...]) -> None:
         """Raise InputError if ``shape`` is not the calibrated camera's (rows, cols)."""
@@ -162,6 +204,7 @@ class Calibration:
             "identity": asdict(self.identity),
             "board": asdict(self.board),
             "procedure": asdict(self.procedure),
+            "known": asdict(self.known),
             "run": self.run,
             "exposures": self.exposures,
             "figures": dict(self.figures),
@@ -202,10 +245,12 @@ class Calibration:
                 identity=RigIdentity(**document["identity"]),
                 board=SpotBoard(**document["board"]),
                 procedure=Procedure(**document["procedure"]),
+                known=KnownUncertainty(**document["known"]),
                 run=document["run"],
                 exposures=document["exposures"],
                 figures=document["figures"],
                 residuals=Residuals(**arrays("residuals")),
+                uncertainty=CalibrationUncertainty(**arrays("uncertainty")),
                 instrument=_get_instrument(file, camera, camera_from_world) if "instrument" in file else None,
                 point_spread=None if spread is None else PointSpread(**spread),
             )

@@ -8,8 +8,9 @@ import numpy as np
 
 from greenough.instrument.contract import KnownUncertainty, Procedure, RigIdentity, SpotBoard
 
-from .bundle_data import SpotPhases
+from .bundle_data import SpotPhases, block_map
 from .calibration import Calibration, Method, Residuals
+from .calibration_uncertainty import CalibrationUncertainty
 from .camera_calibration import CameraCalibration
 from .camera_model import CameraModel
 from .instrument_model import InstrumentModel
@@ -72,6 +73,21 @@ class CalibrationData:
         """Where the spots' centres were found, (postures, spots, 2); NaN where unseen."""
         return np.array([spots.centres_px for spots in self.spots])
 
+    @property
+    def drift_share(self) -> float:
+        """Exposures before the flat posture, which defines the world's frame, over those of a whole calibration."""
+        return float(self.exposures_at_postures[self.camera.reference] / self.procedure.exposures)
+
+    def posture_residuals(self, spots_px: np.ndarray, spot_phases_rad: np.ndarray) -> Residuals:
+        """Residuals (postures, spots, 2) and (postures, spots) of a method without planes."""
+        return Residuals(
+            centres_px=self.centres_px,
+            spots_px=spots_px,
+            spot_phases_rad=spot_phases_rad,
+            planes_um=np.empty((0, *block_map(self.phase_at_zero).shape), dtype=np.float32),
+            pixels_um=np.full(self.phase_at_zero.shape, np.nan, dtype=np.float32),
+        )
+
     def calibration(
         self,
         method: Method,
@@ -82,6 +98,7 @@ class CalibrationData:
         phase_height: PhaseHeight,
         figures: Mapping[str, Any],
         residuals: Residuals,
+        uncertainty: CalibrationUncertainty,
         instrument: InstrumentModel | None = None,
     ) -> Calibration:
         """What a method computed, with whose it is; figures that all methods have are put before its own."""
@@ -94,6 +111,7 @@ class CalibrationData:
             identity=self.identity,
             board=self.board,
             procedure=self.procedure,
+            known=self.uncertainty,
             run=self.run,
             exposures=self.exposures,
             figures={
@@ -104,6 +122,7 @@ class CalibrationData:
                 **figures,
             },
             residuals=residuals,
+            uncertainty=uncertainty,
             instrument=instrument,
             point_spread=self.point_spread,
         )

@@ -70,12 +70,17 @@ class CameraCalibration:
 
     def projected_covariance(self, xyz_world: np.ndarray) -> np.ndarray:
         """Covariance (n, 2, 2) in px² of where world points (n, 3) are imaged, by linear propagation."""
+        moved = self.projected_errors(xyz_world)
+        return moved @ moved.transpose(0, 2, 1)
+
+    def projected_errors(self, xyz_world: np.ndarray) -> np.ndarray:
+        """What each of 15 independent causes does (n, 2, 15) to the image of world points (n, 3), px."""
         xyz = np.asarray(xyz_world, dtype=float)
         jacobian = _differentiate(
             lambda camera, pose: _project_points(camera, pose, xyz), self.camera, self.camera_from_world
         )
         used = _columns(self.reference)
-        return jacobian @ self.covariance[np.ix_(used, used)] @ jacobian.transpose(0, 2, 1)
+        return jacobian @ covariance_root(self.covariance[np.ix_(used, used)])
 
 
 def calibrate_camera(
@@ -161,6 +166,13 @@ def _check(centres: np.ndarray, seen: np.ndarray, names: list[str]) -> None:
             f"too few spots were seen in posture {', '.join(poor)}: at least {_MIN_POINTS} are needed; leave it out or "
             "lay the board more into the light"
         )
+
+
+def covariance_root(covariance: np.ndarray) -> np.ndarray:
+    """A matrix L with L Lᵀ = covariance, also where that is singular."""
+    scale = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    return scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
 
 
 def _project_points(camera: CameraModel, camera_from_frame: np.ndarray, xyz: np.ndarray) -> np.ndarray:

@@ -1,14 +1,16 @@
 """The paper's calibration: the board at its drawing's word, the stage at its readings, a relation for every pixel."""
 
 import numpy as np
+from numpy.polynomial import chebyshev
 
 from greenough.instrument.errors import InputError
 
 from .calibration import Calibration, Residuals
 from .calibration_data import CalibrationData
-from .phase_height import PhaseHeightFit, fit_phase_height
-from .pixel_maps import plane_residuals
-from .rays import rays_of_camera
+from .calibration_uncertainty import CalibrationUncertainty, essential, frame_drift, grid_nodes
+from .phase_height import COEFFICIENTS, PhaseHeightFit, fit_phase_height
+from .pixel_maps import PlaneResiduals, plane_residuals
+from .rays import points_at_height, rays_of_camera
 
 _VOLUME_MM = (4.0, 3.0)  # half of the paper's 8 x 6 mm
 
@@ -60,7 +62,45 @@ def calibrate_by_paper(data: CalibrationData) -> Calibration:
             planes_um=planes.blocks_um,
             pixels_um=planes.pixels_um,
         ),
+        uncertainty=_uncertainty(data, heights, fit.plane_residual_um, planes),
     )
+
+
+def _uncertainty(
+    data: CalibrationData, heights: np.ndarray, plane_residual_um: np.ndarray, planes: PlaneResiduals
+) -> CalibrationUncertainty:
+    """From what planes and spots leave over: the stage's errors, the pixels' noise, and the camera's.
+
+    Every pixel's relation has four effective parameters and errs as a cubic through the planes does. What the planes'
+    residuals have in common over the pixels are the stage's errors, which give all pixels the same error; z = 0, where
+    the board's two sides meet, has none. Straightness, tilts of the stage and the shape of the blank face are seen by
+    nobody and are not in it.
+    """
+    nodes, pixels, z = grid_nodes(data.camera.camera.shape, float(heights.min()), float(heights.max()))
+    freedom = len(heights) - len(COEFFICIENTS)
+    stage_sd = 1e-3 * np.sqrt(np.sum(plane_residual_um**2) / freedom)
+    scatter, common = (np.nanmean(np.square(um, dtype=float)) for um in (planes.pixels_um, planes.blocks_um))
+    pixel_sd = 1e-3 * np.sqrt(max(scatter - common, 0.0) * len(heights) / freedom)
+
+    half_range = np.abs(heights).max()
+
+    def cubic(at: np.ndarray) -> np.ndarray:
+        return chebyshev.chebvander(at / half_range, len(COEFFICIENTS) - 1)
+
+    # The covariance of the fitted cubic is the variance of a plane times (VᵀV)⁻¹ = R⁻¹ R⁻ᵀ.
+    by_plane = np.linalg.inv(np.linalg.qr(cubic(heights), mode="r"))
+    displacements = np.zeros((len(z), 3, 4 + 15 + 1 + 3))
+    displacements[:, 2, :4] = stage_sd * (cubic(z) - cubic(np.zeros(1))) @ by_plane
+
+    camera, pose = data.camera.camera, data.camera.camera_from_world
+    points = points_at_height(pixels, z, camera, pose)
+    steps = (np.array([1.0, 0.0]), np.array([0.0, 1.0]))
+    by_pixel = np.stack([points_at_height(pixels + step, z, camera, pose) - points for step in steps], axis=-1)
+    displacements[:, :2, 4:19] = -by_pixel[:, :2] @ data.camera.projected_errors(points)
+    displacements[:, :2, 19] = data.uncertainty.board_scale * points[:, :2]
+    displacements[:, :, 20:] = frame_drift(data.uncertainty, data.drift_share)
+    pattern = pixel_sd * np.linalg.norm(cubic(nodes[0]) @ by_plane, axis=1)
+    return CalibrationUncertainty(*nodes, essential(displacements), pattern)
 
 
 def fit_planes(

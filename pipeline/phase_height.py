@@ -12,7 +12,7 @@ own calibrated phases, which keeps eq. 19 free of the bias and the bad condition
 
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -83,6 +83,15 @@ class PhaseHeight:
         w = (m1 * t + m0) / (n1 * t + 1)
         return np.where(self.valid, w + r3 * w * w * w, np.nan)
 
+    def slope(self, phase: np.ndarray) -> np.ndarray:
+        """dz/dΦ (rows, cols) in mm/rad at absolute phases (rows, cols): the derivative of :meth:`height`."""
+        t = (phase - self.phase_centre.astype(np.float64)) / self.phase_half_range
+        m1, m0, n1, r3 = np.moveaxis(self.coefficients.astype(np.float64), -1, 0)
+        denominator = n1 * t + 1
+        w = (m1 * t + m0) / denominator
+        by_t = (1 + 3 * r3 * w * w) * (m1 - n1 * m0) / denominator**2
+        return np.where(self.valid, by_t / self.phase_half_range, np.nan)
+
     def phase(self, z: np.ndarray) -> np.ndarray:
         """Phase (rows, cols) in rad that belongs to heights z (rows, cols) in mm: the inverse of :meth:`height`."""
         m1, m0, n1, r3 = np.moveaxis(self.coefficients.astype(np.float64), -1, 0)
@@ -91,6 +100,10 @@ class PhaseHeight:
             w = w - (w + r3 * w**3 - z) / (1 + 3 * r3 * w**2)
         t = (w - m0) / (m1 - n1 * w)
         return np.where(self.valid, self.phase_centre + self.phase_half_range.astype(np.float64) * t, np.nan)
+
+    def of_pixels(self, window: slice | tuple[slice, slice]) -> "PhaseHeight":
+        """The relation of some rows, or of some rows and columns."""
+        return PhaseHeight(*(getattr(self, field.name)[window] for field in fields(self)))
 
     def within(self, z_range: np.ndarray, valid: np.ndarray) -> "PhaseHeight":
         """The same relation, known only within other heights.

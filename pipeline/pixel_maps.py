@@ -5,7 +5,7 @@ The model is smooth, so it is evaluated on a coarse grid of pixels and continued
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import RectBivariateSpline
@@ -93,7 +93,7 @@ def plane_residuals(relation: PhaseHeight, rays: Rays, phases: np.ndarray, surfa
     def compare(top: int) -> None:
         """One row of blocks, plane by plane."""
         strip = slice(top, min(top + side, rows))
-        part = PhaseHeight(*(getattr(relation, field.name)[strip] for field in fields(relation)))
+        part = relation.of_pixels(strip)
         origin, slope = rays.origin[strip], rays.slope[strip]
         span = part.z_range[..., 1] - part.z_range[..., 0]
         limit = MISFIT_RAD * span / (2 * part.phase_half_range)

@@ -1,36 +1,84 @@
-"""From absolute phase to points in the calibrated frame (section 3.2 of the paper)."""
+"""From absolute phase to points in the calibrated frame (section 3.2 of the paper), and how uncertain they are."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from .calibration import Calibration
+from .calibration_uncertainty import CalibrationUncertainty
 from .decode import PhaseMap
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PointMap:
     """One point per camera pixel.
+
+    Uncertainties are standard ones (one standard deviation), predicted conditional on the models of noise and
+    instrument.
 
     Parameters
     ----------
     xyz : (rows, cols, 3) float64
         Points in the calibrated (world) frame, mm; NaN where invalid.
+    noise_mm : (rows, cols, 3) float32, optional
+        What one standard deviation of its phase's noise moves each point by, along the camera's ray. Noise is
+        independent from pixel to pixel unless a filter has made neighbours alike.
+    uncertainty : CalibrationUncertainty, optional
+        What the calibration and drifts may do, alike for neighbouring points and for every measurement.
     """
 
     xyz: np.ndarray
+    noise_mm: np.ndarray | None = None
+    uncertainty: CalibrationUncertainty | None = None
 
     @property
     def valid(self) -> np.ndarray:
         """(rows, cols) bool."""
         return np.isfinite(self.xyz[..., 2])
 
+    @property
+    def noise_covariance(self) -> np.ndarray:
+        """Covariance of each point by noise, (rows, cols, 3, 3) float32 mm²: of rank one."""
+        noise = _stated(self.noise_mm)
+        return noise[..., :, None] * noise[..., None, :]
 
-def reconstruct(phase_map: PhaseMap, calibration: Calibration) -> PointMap:
+    @cached_property
+    def calibration_covariance(self) -> np.ndarray:
+        """Covariance of each point by the calibration and drifts, (rows, cols, 3, 3) float32 mm²; NaN where invalid."""
+        result = np.full((*self.xyz.shape, 3), np.nan, dtype=np.float32)
+        v, u = np.nonzero(self.valid)
+        result[v, u] = _stated(self.uncertainty).covariance(np.stack([u, v], axis=-1), self.xyz[v, u, 2])
+        return result
+
+    @property
+    def sigma_noise(self) -> np.ndarray:
+        """Standard uncertainty of x, y and z by noise, (rows, cols, 3) mm."""
+        return np.abs(_stated(self.noise_mm))
+
+    @property
+    def sigma_calibration(self) -> np.ndarray:
+        """Standard uncertainty of x, y and z by the calibration and drifts, (rows, cols, 3) mm."""
+        return np.sqrt(np.diagonal(self.calibration_covariance, axis1=-2, axis2=-1))
+
+    @property
+    def sigma(self) -> np.ndarray:
+        """Combined standard uncertainty of x, y and z, (rows, cols, 3) mm."""
+        return np.hypot(self.sigma_noise, self.sigma_calibration)
+
+
+def reconstruct(phase_map: PhaseMap, calibration: Calibration, exposures: int = 0) -> PointMap:
     """Height from the phase by eq. 17, then x and y on the pixel's ray, for the paper's method by eq. 23.
 
     Pixels that are not valid in ``phase_map``, not calibrated, or whose phase lies more than half a plane step outside
     the calibrated range of that pixel are NaN: the relation is not known there.
+
+    Parameters
+    ----------
+    phase_map : PhaseMap
+    calibration : Calibration
+    exposures : int
+        How many the run had taken at the end of these frames: how far drifts may have got since it began.
 
     Raises
     ------
@@ -42,4 +90,14 @@ def reconstruct(phase_map: PhaseMap, calibration: Calibration) -> PointMap:
     phase = np.where(phase_map.valid, phase_map.absolute, np.nan)
     z = relation.height(phase)
     z[~relation.covers(phase, margin_mm=calibration.procedure.plane_step_mm / 2)] = np.nan
-    return PointMap(calibration.rays.points(z))
+    points = calibration.rays.points(z)
+    noise = np.empty(points.shape, dtype=np.float32)
+    noise[..., 2] = np.where(np.isnan(z), np.nan, relation.slope(phase) * phase_map.sigma)
+    noise[..., :2] = noise[..., 2:] * calibration.rays.slope
+    return PointMap(points, noise, calibration.uncertainty_after(exposures))
+
+
+def _stated(value):
+    if value is None:
+        raise ValueError("this point map was made without uncertainties")
+    return value

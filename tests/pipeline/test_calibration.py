@@ -6,9 +6,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from greenough.instrument.contract import Procedure, RigIdentity, SpotBoard
+from greenough.instrument.contract import KnownUncertainty, Procedure, RigIdentity, SpotBoard
 from greenough.instrument.errors import InputError
 from greenough.pipeline.calibration import Calibration, Residuals
+from greenough.pipeline.calibration_uncertainty import CalibrationUncertainty
 from greenough.pipeline.camera_model import CameraModel
 from greenough.pipeline.imaging_path import ImagingPath
 from greenough.pipeline.instrument_model import InstrumentModel
@@ -46,6 +47,7 @@ def some_calibration(rows=12, cols=16, method="paper"):
         identity=IDENTITY,
         board=SpotBoard(9, 11, 0.65, 0.4, 0.175, 8.0, ((4, 5), (4, 6), (3, 5))),
         procedure=Procedure((608.0, 152.0, 40.0, 12.0), (4, 4, 4, 12), 16, 30, 0.1, 0.8, (4.0, 1.0)),
+        known=KnownUncertainty(3e-5, 5e-4, 5e-5),
         run="monday",
         exposures=1104,
         figures={"reprojection_rmse_u_px": 0.07, "postures_without_board": (3,)},
@@ -55,6 +57,13 @@ def some_calibration(rows=12, cols=16, method="paper"):
             spot_phases_rad=rng.normal(size=(7, 99)),
             planes_um=rng.normal(size=(30, 3, 4)).astype(np.float32),
             pixels_um=rng.normal(size=(rows, cols)).astype(np.float32),
+        ),
+        uncertainty=CalibrationUncertainty(
+            heights_mm=np.array([-1.45, 0.0, 1.45]),
+            grid_v_px=np.array([0.0, rows - 1.0]),
+            grid_u_px=np.array([0.0, cols - 1.0]),
+            modes_mm=rng.normal(size=(5, 3, 2, 2, 3)).astype(np.float32),
+            pattern_sd_mm=rng.uniform(size=3),
         ),
         instrument=instrument if method == "bundle" else None,
     )
@@ -71,10 +80,10 @@ def test_a_calibration_comes_back_whole(tmp_path, method):
     calibration = some_calibration(method=method)
     calibration.save(tmp_path / "cal.h5")
     back = Calibration.load(tmp_path / "cal.h5")
-    for name in ("method", "camera", "identity", "board", "procedure", "run", "exposures", "figures"):
+    for name in ("method", "camera", "identity", "board", "procedure", "known", "run", "exposures", "figures"):
         assert getattr(back, name) == getattr(calibration, name)
     np.testing.assert_array_equal(back.camera_from_world, calibration.camera_from_world)
-    for group in ("rays", "phase_height", "residuals"):
+    for group in ("rays", "phase_height", "residuals", "uncertainty"):
         for name, original in arrays(calibration, group).items():
             stored = arrays(back, group)[name]
             np.testing.assert_array_equal(stored, original)
@@ -95,9 +104,9 @@ def test_the_bundles_model_and_its_covariance_come_back(tmp_path):
 def test_a_file_of_the_version_before_is_refused_in_one_sentence(tmp_path):
     some_calibration().save(tmp_path / "old.h5")
     with h5py.File(tmp_path / "old.h5", "r+") as file:
-        file.attrs["version"] = 1
+        file.attrs["version"] = 2
     with pytest.raises(
-        InputError, match=r"old\.h5 is a greenough calibration of version 1; this program reads version 2"
+        InputError, match=r"old\.h5 is a greenough calibration of version 2; this program reads version 3"
     ):
         Calibration.load(tmp_path / "old.h5")
 
@@ -164,7 +173,7 @@ def test_foreign_files_are_refused_by_what_they_are(tmp_path):
     some_calibration().save(tmp_path / "future.h5")
     with h5py.File(tmp_path / "future.h5", "r+") as file:
         file.attrs["version"] = 99
-    with pytest.raises(InputError, match="version 99; this program reads version 2"):
+    with pytest.raises(InputError, match="version 99; this program reads version 3"):
         Calibration.load(tmp_path / "future.h5")
 
 

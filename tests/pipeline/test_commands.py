@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from greenough.instrument.command import run
-from greenough.instrument.contract import Procedure, RigIdentity, SpotBoard
+from greenough.instrument.contract import KnownUncertainty, Procedure, RigIdentity, SpotBoard
 from greenough.pipeline import commands
 from greenough.pipeline.calibration import Calibration, Residuals
+from greenough.pipeline.calibration_uncertainty import CalibrationUncertainty
 from greenough.pipeline.camera_model import CameraModel
 from greenough.pipeline.phase_height import PhaseHeight
 from greenough.pipeline.point_cloud import Mesh, PointCloud, read_cloud, write_cloud, write_mesh
@@ -129,10 +130,17 @@ def measured(tmp_path, monkeypatch):
         identity=RigIdentity("bench", "1", "2", "0" * 64),
         board=SpotBoard(5, 7, 1.2, 0.8, 0.5, 8.0, ((2, 3), (2, 4), (1, 3))),
         procedure=Opened.procedure,
+        known=KnownUncertainty(3e-5, 5e-4, 5e-5),
         run="calibrate",
         exposures=0,
         figures={},
         residuals=Residuals(nothing[None], nothing[None], nothing, nothing[None], nothing),
+        uncertainty=CalibrationUncertainty(
+            np.array([-1.45, 1.45]),
+            *(np.array([0.0, n - 1.0]) for n in shape),
+            np.zeros((1, 2, 2, 2, 3), np.float32),
+            np.zeros(2),
+        ),
     ).save(tmp_path / "cal.h5")
     asked = {}
 

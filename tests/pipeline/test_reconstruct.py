@@ -2,9 +2,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from greenough.instrument.contract import Procedure, RigIdentity, SpotBoard
+from greenough.instrument.contract import KnownUncertainty, Procedure, RigIdentity, SpotBoard
 from greenough.instrument.errors import InputError
 from greenough.pipeline.calibration import Calibration, Residuals
+from greenough.pipeline.calibration_uncertainty import CalibrationUncertainty
 from greenough.pipeline.camera_model import CameraModel
 from greenough.pipeline.decode import PhaseMap
 from greenough.pipeline.phase_height import PhaseHeight
@@ -48,10 +49,17 @@ def calibration(z_low=-1.45, z_high=1.45):
         identity=RigIdentity("rig", "1", "2", "0" * 64),
         board=SpotBoard(9, 11, 0.65, 0.4, 0.175, 8.0, ((4, 5), (4, 6), (3, 5))),
         procedure=Procedure((608.0, 152.0, 40.0, 12.0), (4, 4, 4, 12), 16, 30, 0.1, 0.8),
+        known=KnownUncertainty(3e-5, 5e-4, 5e-5),
         run="test",
         exposures=0,
         figures={},
         residuals=Residuals(nothing[None], nothing[None], nothing, nothing[None], nothing),
+        uncertainty=CalibrationUncertainty(
+            np.array([-1.45, 1.45]),
+            *(np.array([0.0, n - 1.0]) for n in SHAPE),
+            np.zeros((1, 2, 2, 2, 3), np.float32),
+            np.zeros(2),
+        ),
     )
 
 

@@ -38,7 +38,7 @@ def paper() -> Calibration:
     nothing = PhaseHeight(*(np.zeros(0) for _ in range(5)))
     return Calibration(
         "paper", camera, pose, rays_of_camera(camera, pose), nothing, rig.identity, rig.board, rig.procedure,
-        "calibration", 0, {}, None,
+        rig.uncertainty, "calibration", 0, {}, None, None,
     )  # fmt: skip
 
 

@@ -6,7 +6,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from greenough.scenes.spheres import CENTRE_Z_MM, DIAMETER_MM, SPACING_MM, sphere, two_spheres
+from greenough.scenes.spheres import DIAMETER_MM, PAIR_DIAMETER_MM, SPACING_MM, sphere, two_spheres
 
 VOLUME_MM = (8.0, 6.0, 3.0)
 DIAGONAL_MM = float(np.linalg.norm(VOLUME_MM))
@@ -22,7 +22,8 @@ def test_balls_have_the_certified_diameters_and_places(part):
 
 
 def test_sizes_are_those_recommended_for_the_volume():
-    assert 0.1 * DIAGONAL_MM < DIAMETER_MM < 0.2 * DIAGONAL_MM  # by either edition
+    for diameter in (DIAMETER_MM, PAIR_DIAMETER_MM):
+        assert 0.1 * DIAGONAL_MM < diameter < 0.2 * DIAGONAL_MM  # by either edition
     assert SPACING_MM > 0.3 * DIAGONAL_MM
 
 
@@ -47,9 +48,10 @@ def test_facets_depart_from_the_balls_by_less_than_a_twentieth_of_a_micrometre()
     assert part.as_built["sphere_diameters_mm"][0] / 2 - depth.min() < 5e-5
 
 
-def test_the_cap_is_in_the_middle_of_the_range():
-    top, rim = CENTRE_Z_MM + DIAMETER_MM / 2, CENTRE_Z_MM + DIAMETER_MM / 2 * np.cos(np.radians(CAP_DEG))
-    np.testing.assert_allclose(top, -rim)
+@pytest.mark.parametrize("part", [sphere(0), two_spheres(0)])
+def test_the_cap_is_in_the_middle_of_the_range(part):
+    z, radius = part.as_built["sphere_centres_mm"][0, 2], part.nominal["diameter_mm"] / 2
+    np.testing.assert_allclose(z + radius, -(z + radius * np.cos(np.radians(CAP_DEG))))
 
 
 def shadowed(part, directions: Sequence[np.ndarray]) -> np.ndarray:

@@ -77,18 +77,18 @@ def test_half_of_a_wave_passes_at_the_period_that_the_gaussian_says(fwhm, along)
     assert measured == pytest.approx(2.266 * fwhm, rel=0.01)
 
 
-@pytest.mark.parametrize(("height", "low", "high"), [(0.5, 0.91, 1.08), (1.0, 0.89, 1.06), (2.5, 0.8, 0.98)])
+@pytest.mark.parametrize(("height", "low", "high"), [(1.0, 0.83, 1.11), (2.5, 0.75, 1.03)])
 def test_noise_of_the_weights_counts_where_neighbours_lie_beside_the_plane(height, low, high):
-    """A step of the phase, measured 300 times, the modulation each time as noisy as the phase.
+    """A step of the phase, measured 100 times, the modulation each time as noisy as the phase.
 
-    The 20 rows at the edge hold about 4 independent values for each column, and 300 repeats 1200: their variance is
-    known to 4 %, that of ten columns together, which are neighbours, to about 2 %. At large steps pixels lie less far
+    The 20 rows at the edge hold about 4 independent values for each column, and 100 repeats 400: their variance is
+    known to 7 %, that of ten columns together, which are neighbours, to about 3.5 %. At large steps pixels lie less far
     beside each other's planes than beside their own, for which they are taken: too much is stated.
     """
     rng = np.random.default_rng(5)
     step = 0.3 * np.arange(40) + np.where(np.arange(40) < 20, 0.0, height) + np.zeros((40, 1))
     sigma, repeats = 0.03, []
-    for _ in range(300):
+    for _ in range(100):
         phase = step + rng.normal(0, sigma, step.shape)
         seen = (sigma / (1 + rng.normal(0, sigma, step.shape))).astype(np.float32)
         flat = np.zeros(step.shape, np.float32)

@@ -9,6 +9,7 @@ neither, and its rows must keep to the limit; otherwise rows only report.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -179,10 +180,10 @@ def _classes(repeated: Repeated) -> Iterator[tuple[str, str, np.ndarray]]:
         return
     bounds = np.quantile(repeated.modulation[measured], np.linspace(0, 1, MODULATION_CLASSES + 1))
     bounds[-1] = np.inf
-    for k, (low, high) in enumerate(zip(bounds[:-1], bounds[1:], strict=True), start=1):
+    for k, (low, high) in enumerate(pairwise(bounds), start=1):
         chosen = measured & (repeated.modulation >= low) & (repeated.modulation < high)
         yield f"modulation_{k}", f"modulation from {low:.4g} DN, class {k} of {MODULATION_CLASSES}", chosen
-    for low, high in zip(SLOPES_DEG[:-1], SLOPES_DEG[1:], strict=True):
+    for low, high in pairwise(SLOPES_DEG):
         chosen = measured & (repeated.slope_deg >= low) & (repeated.slope_deg < high)
         if chosen.sum() >= LEAST_PIXELS:
             yield f"slope_{low:g}_{high:g}deg", f"true slopes from {low:g}° to {high:g}°", chosen

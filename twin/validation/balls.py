@@ -12,9 +12,10 @@ from functools import partial
 import numpy as np
 from scipy.spatial import KDTree
 
+from greenough.pipeline.metrology.coplanarity import coplanarity, regression_plane, seating_planes
+
 from ..bench import Bench
 from .claims import Claim
-from .coplanarity import coplanarity, regression_plane, seating_planes
 from .measured import (
     BIAS_LIMIT_UM,
     DECONVOLVED,

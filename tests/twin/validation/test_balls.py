@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from greenough.pipeline.compare import ErrorRow, Surface, vertical_errors
+from greenough.pipeline.metrology.coplanarity import seating_planes
 from greenough.pipeline.point_cloud import Mesh
 from greenough.pipeline.reconstruct import PointMap
 from greenough.scenes.bga import BallGrid, bga
 from greenough.scenes.parts import Specimen, merge, transform
 from greenough.twin.validation.balls import BallGridAsMounted, ball_claims
-from greenough.twin.validation.coplanarity import seating_planes
 from greenough.twin.validation.measured import DECONVOLVED, DECONVOLVED_FILTERED, FILTERED, RAW, Measured
 from greenough.twin.validation.setup import Setup
 

@@ -13,12 +13,13 @@ same (x, y).
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
+from greenough.instrument.errors import InputError
+
 TIE_MM = 0.01
 """A triangle that misses the centre of gravity by less counts too: above its edge or corner the package rocks from one
 plane to the other, and the worst of them decides."""
 
 _STEEPEST = 1e-6  # vertical facets of the hull carry nothing
-_FALLS_OVER = "no three apexes enclose the centre of gravity"
 
 
 def seating_planes(apexes: np.ndarray, centre: np.ndarray) -> np.ndarray:
@@ -33,9 +34,12 @@ def seating_planes(apexes: np.ndarray, centre: np.ndarray) -> np.ndarray:
 
     Raises
     ------
-    ValueError
-        If no triangle encloses the centre: the package would fall over.
+    InputError
+        If there are fewer than three apexes, they lie on one line, or no triangle of them encloses the centre: the
+        package would fall over.
     """
+    if len(apexes) < 3 or np.linalg.matrix_rank(apexes[:, :2] - apexes[0, :2], tol=TIE_MM) < 2:
+        raise InputError(f"a package does not stand on {len(apexes)} apexes on one line: measure more of its terminals")
     try:
         hull = ConvexHull(apexes)
     except QhullError:  # flat: no body has a hull
@@ -45,7 +49,7 @@ def seating_planes(apexes: np.ndarray, centre: np.ndarray) -> np.ndarray:
     corners = apexes[hull.simplices[upper]][..., :2]  # (facets, 3, 2)
     carrying = _outside(corners, centre) < TIE_MM
     if not carrying.any():
-        raise ValueError(_FALLS_OVER)
+        raise _falls_over(len(apexes))
     nx, ny, nz, offset = hull.equations[upper][carrying].T
     return np.stack([-offset / nz, -nx / nz, -ny / nz], axis=-1)
 
@@ -63,7 +67,7 @@ def _common_plane(apexes: np.ndarray, centre: np.ndarray) -> np.ndarray:
     """The plane (1, 3) that all apexes (balls, 3) are in."""
     sides = ConvexHull(apexes[:, :2]).equations  # (sides, 3), normals outwards
     if (sides[:, :2] @ centre + sides[:, 2]).max() >= TIE_MM:
-        raise ValueError(_FALLS_OVER)
+        raise _falls_over(len(apexes))
     return regression_plane(apexes)[None]
 
 
@@ -72,6 +76,13 @@ def coplanarity(apexes: np.ndarray, planes: np.ndarray) -> float:
     c, a, b = np.atleast_2d(planes).T[..., None]
     below = (c + a * apexes[:, 0] + b * apexes[:, 1] - apexes[:, 2]) / np.sqrt(1 + a * a + b * b)
     return float(np.abs(below).max())
+
+
+def _falls_over(balls: int) -> InputError:
+    return InputError(
+        f"no three apexes of the {balls} that were measured enclose the centre of gravity, so that the package "
+        "would fall over: measure more of its terminals, or state another centre"
+    )
 
 
 def _outside(corners: np.ndarray, point: np.ndarray) -> np.ndarray:

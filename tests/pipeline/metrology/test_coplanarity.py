@@ -1,9 +1,14 @@
 """Coplanarity of constructed apexes, by either plane."""
 
+from itertools import combinations
+
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from greenough.twin.validation.coplanarity import coplanarity, regression_plane, seating_planes
+from greenough.instrument.errors import InputError
+from greenough.pipeline.metrology.coplanarity import coplanarity, regression_plane, seating_planes
 
 CENTRE = np.zeros(2)
 
@@ -94,10 +99,64 @@ def test_apexes_in_one_plane_stand_on_it(plane):
     found = seating_planes(apexes, CENTRE)
     np.testing.assert_allclose(found, [plane] * len(found), atol=1e-9)
     assert coplanarity(apexes, found) < 1e-9
-    with pytest.raises(ValueError, match="no three apexes enclose"):
+    with pytest.raises(InputError, match="no three apexes of the"):
         seating_planes(apexes, np.array([5.0, 0.0]))
 
 
 def test_a_package_that_would_fall_over_is_told():
-    with pytest.raises(ValueError, match="no three apexes enclose"):
+    with pytest.raises(InputError, match="no three apexes of the"):
         seating_planes(square(0.0, 0.1, 0.0, 0.1), np.array([5.0, 0.0]))
+
+
+def test_fewer_than_three_apexes_or_a_row_of_them_carry_nothing():
+    for apexes in (square(0.0, 0.1), np.column_stack([np.arange(5.0), np.arange(5.0), np.zeros(5)])):
+        with pytest.raises(InputError, match="on one line"):
+            seating_planes(apexes, CENTRE)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_whole_array_rests_on_the_planes_that_its_definition_names(seed):
+    """Brute force over all triples of a bowed 6 x 7 array: no apex above, and the triangle encloses the centre.
+
+    By the definition's own words and without a hull: barycentric coordinates of the centre that are not negative. It is
+    placed so that no line through two balls passes within a tie of it.
+    """
+    rng = np.random.default_rng(seed)
+    x, y = np.meshgrid(0.8 * np.arange(7), 0.8 * np.arange(6))
+    z = 0.01 * rng.standard_normal(x.shape) - 0.002 * ((x - 2.4) ** 2 + (y - 2) ** 2)
+    apexes, centre = np.column_stack([x.ravel(), y.ravel(), z.ravel()]), np.array([2.437, 2.061])
+    found = []
+    for corners in apexes[np.array(list(combinations(range(len(apexes)), 3)))]:
+        matrix = np.vstack([corners[:, :2].T, np.ones(3)])
+        if abs(np.linalg.det(matrix)) < 1e-9 or np.linalg.solve(matrix, [*centre, 1]).min() < 0:
+            continue
+        plane = np.linalg.solve(matrix.T, corners[:, 2])  # a, b, c
+        if np.all(plane[:2] @ apexes[:, :2].T + plane[2] - apexes[:, 2] > -1e-12):
+            found.append(plane[[2, 0, 1]])
+    (best,) = found
+    (plane,) = seating_planes(apexes, centre)
+    np.testing.assert_allclose(plane, best, atol=1e-9)
+    distances = (best[0] + apexes[:, :2] @ best[1:] - apexes[:, 2]) / np.linalg.norm([1, *best[1:]])
+    assert coplanarity(apexes, plane) == pytest.approx(distances.max())
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    turn=st.floats(-3, 3), shift=st.tuples(*[st.floats(-20, 20)] * 3), seed=st.integers(0, 2**32 - 1),
+)  # fmt: skip
+def test_coplanarity_is_the_same_wherever_the_package_lies_and_however_its_balls_are_numbered(turn, shift, seed):
+    rng = np.random.default_rng(seed)
+    apexes = np.column_stack([rng.uniform(-1, 1, (12, 2)), 0.05 * rng.standard_normal(12)])
+    try:
+        seated = coplanarity(apexes, seating_planes(apexes, CENTRE))
+    except InputError:
+        return
+    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    moved = np.column_stack([apexes[:, :2] @ rotation.T, apexes[:, 2]])[rng.permutation(12)] + shift
+    assert coplanarity(moved, seating_planes(moved, np.array(shift[:2]))) == pytest.approx(seated, abs=1e-9)
+    regression = coplanarity(apexes, regression_plane(apexes))
+    assert coplanarity(moved, regression_plane(moved)) == pytest.approx(regression, abs=1e-9)
+    scaled = apexes * [1, 1, 3e-3]  # so flat that perpendicular and vertical are one
+    flat = apexes * [1, 1, 1e-3]
+    tall = coplanarity(scaled, seating_planes(scaled, CENTRE))
+    assert tall == pytest.approx(3 * coplanarity(flat, seating_planes(flat, CENTRE)), rel=1e-5)

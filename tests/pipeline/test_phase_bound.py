@@ -29,7 +29,7 @@ def test_white_noise_has_the_bound_of_the_n_step_formula():
 
 
 def test_shot_noise_alone_tells_the_reciprocal_of_its_variance():
-    """A Poisson count of mean m has the information 1 / m; a little read noise takes as much as adds to the variance."""
+    """A Poisson count of mean m has the information 1 / m; a little read noise takes what it adds to the variance."""
     camera = CameraNoise(full_well_e=6500.0, read_noise_e=0.5, electrons_per_dn=20.0)
     light = np.array([5.0, 20.0, 100.0])
     np.testing.assert_allclose(grey_information(light, camera, False), 400 / (20 * light + 0.25), rtol=2e-4)
@@ -45,8 +45,8 @@ def test_read_noise_alone_tells_the_reciprocal_of_its_variance():
 def test_information_is_that_of_sampled_grey_values(quantised):
     """By the distance of Hellinger between the histograms for two neighbouring lights: J ≈ 4 Σ (√p - √q)² / (dI)².
 
-    2 000 000 values each: chance, once its mean of 2 / (n dI²) for each bin is taken off, leaves sqrt(8 / (n J)) / dI of
-    it, 0.8 %. The lights' distance takes (dI / σ)² / 16, 0.8 %, away.
+    2 000 000 values each: chance, once its mean of 2 / (n dI²) a bin is taken off, leaves sqrt(8 / (n J)) / dI of
+    it, 1.1 %. The lights' distance takes (dI / σ)² / 16, 0.8 %, away.
     """
     rng, light, step, n = np.random.default_rng(1), 8.0, 0.25, 2_000_000
     width = 1.0 if quantised else 0.15

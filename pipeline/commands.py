@@ -4,6 +4,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
 import typer
 
 from greenough.instrument.contract import Placement
@@ -105,7 +106,12 @@ def measure(
         raise InputError(f"no point of {sample} could be measured: check that it lies in the light and in the z range.")
     write_cloud(out, cloud)
     low, high = cloud.xyz.min(axis=0), cloud.xyz.max(axis=0)
-    show({"cloud": out, "points": len(cloud.xyz), "low_mm": low, "high_mm": high, **facts}, as_json)
+    sigma_um = {
+        f"sigma_{cause}_um": 1e3 * np.median(sd, axis=0)
+        for cause, sd in (("noise", cloud.noise_mm), ("calibration", cloud.calibration_mm))
+        if sd is not None
+    }
+    show({"cloud": out, "points": len(cloud.xyz), "low_mm": low, "high_mm": high, **sigma_um, **facts}, as_json)
 
 
 @app.command()

@@ -38,6 +38,8 @@ class PhaseMap:
     sigma : float32
         Standard deviation of ``absolute`` that the noise predicts, rad: sqrt(2/N) σ / B, with σ² the variance of a
         grey value as bright as the background, less what the weights gain (`phase_shifting`).
+    exposures : int
+        How many the run had taken after these frames, by which drifts may have grown; 0 where nobody counted.
     """
 
     absolute: np.ndarray
@@ -46,6 +48,7 @@ class PhaseMap:
     valid: np.ndarray
     residual: np.ndarray
     sigma: np.ndarray
+    exposures: int = 0
 
 
 def decode(
@@ -99,7 +102,8 @@ def decode(
     sigma = dr.sqrt(phase_variances[-1])
     results = (absolute, phasors[-1].modulation, background, valid, unwrapped.residual, sigma)
     dr.eval(*results)
-    return PhaseMap(*(np.array(result).reshape(shape) for result in results))
+    exposures = int(frames.serials[-1]) + 1 if isinstance(frames, Frames) else 0
+    return PhaseMap(*(np.array(result).reshape(shape) for result in results), exposures)
 
 
 def _grey_values(frames: Frames | np.ndarray, fringes: FringeSet) -> tuple[np.ndarray, float, float]:

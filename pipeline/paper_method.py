@@ -71,26 +71,17 @@ def _uncertainty(
 ) -> CalibrationUncertainty:
     """From what planes and spots leave over: the stage's errors, the pixels' noise, and the camera's.
 
-    Every pixel's relation has four effective parameters and errs as a cubic through the planes does. What the planes'
-    residuals have in common over the pixels are the stage's errors, which give all pixels the same error; z = 0, where
-    the board's two sides meet, has none. Straightness, tilts of the stage and the shape of the blank face are seen by
-    nobody and are not in it.
+    What the planes' residuals have in common over the pixels are the stage's errors, which give all pixels the same
+    error; z = 0, where the board's two sides meet, has none. Straightness and tilts of the stage and the shape of the
+    blank face are seen by nobody and are not in it.
     """
     nodes, pixels, z = grid_nodes(data.camera.camera.shape, float(heights.min()), float(heights.max()))
     freedom = len(heights) - len(COEFFICIENTS)
     stage_sd = 1e-3 * np.sqrt(np.sum(plane_residual_um**2) / freedom)
     scatter, common = (np.nanmean(np.square(um, dtype=float)) for um in (planes.pixels_um, planes.blocks_um))
     pixel_sd = 1e-3 * np.sqrt(max(scatter - common, 0.0) * len(heights) / freedom)
-
-    half_range = np.abs(heights).max()
-
-    def cubic(at: np.ndarray) -> np.ndarray:
-        return chebyshev.chebvander(at / half_range, len(COEFFICIENTS) - 1)
-
-    # The covariance of the fitted cubic is the variance of a plane times (VᵀV)⁻¹ = R⁻¹ R⁻ᵀ.
-    by_plane = np.linalg.inv(np.linalg.qr(cubic(heights), mode="r"))
     displacements = np.zeros((len(z), 3, 4 + 15 + 1 + 3))
-    displacements[:, 2, :4] = stage_sd * (cubic(z) - cubic(np.zeros(1))) @ by_plane
+    displacements[:, 2, :4] = stage_sd * (fitted_errors(heights, z) - fitted_errors(heights, np.zeros(1)))
 
     camera, pose = data.camera.camera, data.camera.camera_from_world
     points = points_at_height(pixels, z, camera, pose)
@@ -99,8 +90,19 @@ def _uncertainty(
     displacements[:, :2, 4:19] = -by_pixel[:, :2] @ data.camera.projected_errors(points)
     displacements[:, :2, 19] = data.uncertainty.board_scale * points[:, :2]
     displacements[:, :, 20:] = frame_drift(data.uncertainty, data.drift_share)
-    pattern = pixel_sd * np.linalg.norm(cubic(nodes[0]) @ by_plane, axis=1)
+    pattern = pixel_sd * np.linalg.norm(fitted_errors(heights, nodes[0]), axis=1)
     return CalibrationUncertainty(*nodes, essential(displacements), pattern)
+
+
+def fitted_errors(heights: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """What planes at ``heights`` (planes,), each wrong by a unit on its own, do to heights z: (n, 4) independent causes.
+
+    A pixel's relation has four effective parameters and errs as a cubic V c through the planes does, whose covariance
+    is (VᵀV)⁻¹ = R⁻¹ R⁻ᵀ with V = Q R.
+    """
+    half_range = np.abs(heights).max()
+    planes, here = (chebyshev.chebvander(at / half_range, len(COEFFICIENTS) - 1) for at in (heights, z))
+    return here @ np.linalg.inv(np.linalg.qr(planes, mode="r"))
 
 
 def fit_planes(

@@ -38,6 +38,10 @@ class PointCloud:
         (row, col) of the camera.
     smooth : (n,) bool or None
         Where the surface is smooth over the optical resolution: only somebody who knows the truth can say.
+    noise_mm : (n, 3) float32 or None
+        Standard uncertainty of x, y and z by noise.
+    calibration_mm : (n, 3) float32 or None
+        The same by the calibration and drifts, which neighbouring points share.
     facts : mapping of str to str
         What the header says about the cloud.
     """
@@ -45,18 +49,26 @@ class PointCloud:
     xyz: np.ndarray
     pixels: np.ndarray | None = None
     smooth: np.ndarray | None = None
+    noise_mm: np.ndarray | None = None
+    calibration_mm: np.ndarray | None = None
     facts: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
     def from_point_map(
         cls, point_map: PointMap, smooth: np.ndarray | None = None, facts: Mapping[str, object] | None = None
     ) -> "PointCloud":
-        """The valid points of a map, row by row; ``smooth`` is (rows, cols) bool."""
+        """The valid points of a map, row by row, with their uncertainties if it has any.
+
+        ``smooth`` is (rows, cols) bool.
+        """
         valid = point_map.valid
+        known = point_map.noise_mm is not None and point_map.uncertainty is not None
         return cls(
             xyz=point_map.xyz[valid],
             pixels=np.argwhere(valid).astype(np.int32),
             smooth=None if smooth is None else smooth[valid],
+            noise_mm=point_map.sigma_noise[valid] if known else None,
+            calibration_mm=point_map.sigma_calibration[valid] if known else None,
             facts={key: str(value) for key, value in (facts or {}).items()},
         )
 
@@ -84,10 +96,13 @@ def write_cloud(path: str | Path, cloud: PointCloud) -> None:
         columns.append(("smooth", "u1", cloud.smooth))
     if cloud.pixels is not None:
         columns += [("row", "<i4", cloud.pixels[:, 0]), ("col", "<i4", cloud.pixels[:, 1])]
+    for cause, sd in (("noise", cloud.noise_mm), ("calibration", cloud.calibration_mm)):
+        if sd is not None:
+            columns += [(f"sigma_{cause}_{axis}", "<f4", sd[:, k]) for k, axis in enumerate("xyz")]
     table = np.empty(len(cloud.xyz), dtype=[(name, kind) for name, kind, _ in columns])
     for name, _, values in columns:
         table[name] = values
-    named = {"<f8": "double", "u1": "uchar", "<i4": "int"}
+    named = {"<f8": "double", "<f4": "float", "u1": "uchar", "<i4": "int"}
     header = [f"element vertex {len(table)}", *(f"property {named[kind]} {name}" for name, kind, _ in columns)]
     _write_ply(path, header, cloud.facts, [table])
 
@@ -133,6 +148,8 @@ def read_cloud(path: str | Path) -> PointCloud:
         xyz=xyz[finite],
         pixels=np.stack([table["row"], table["col"]], axis=-1)[finite].astype(np.int32) if has_pixels else None,
         smooth=table["smooth"][finite].astype(bool) if "smooth" in names else None,
+        noise_mm=_triple(table[finite], "sigma_noise_"),
+        calibration_mm=_triple(table[finite], "sigma_calibration_"),
         facts=facts,
     )
 
@@ -163,6 +180,14 @@ def read_mesh(path: str | Path) -> Mesh:
     if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
         raise InputError(f"the mesh {path} has faces that name vertices it does not have: repair it")
     return mesh
+
+
+def _triple(table: np.ndarray, prefix: str) -> np.ndarray | None:
+    """Three columns named so, ending with x, y and z, (n, 3) float32; None if one is missing."""
+    names = [f"{prefix}{axis}" for axis in "xyz"]
+    if not set(names) <= set(table.dtype.names or ()):
+        return None
+    return np.stack([table[name] for name in names], axis=-1).astype(np.float32)
 
 
 @dataclass(frozen=True)

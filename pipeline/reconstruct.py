@@ -67,18 +67,11 @@ class PointMap:
         return np.hypot(self.sigma_noise, self.sigma_calibration)
 
 
-def reconstruct(phase_map: PhaseMap, calibration: Calibration, exposures: int = 0) -> PointMap:
+def reconstruct(phase_map: PhaseMap, calibration: Calibration) -> PointMap:
     """Height from the phase by eq. 17, then x and y on the pixel's ray, for the paper's method by eq. 23.
 
     Pixels that are not valid in ``phase_map``, not calibrated, or whose phase lies more than half a plane step outside
     the calibrated range of that pixel are NaN: the relation is not known there.
-
-    Parameters
-    ----------
-    phase_map : PhaseMap
-    calibration : Calibration
-    exposures : int
-        How many the run had taken at the end of these frames: how far drifts may have got since it began.
 
     Raises
     ------
@@ -94,7 +87,7 @@ def reconstruct(phase_map: PhaseMap, calibration: Calibration, exposures: int = 
     noise = np.empty(points.shape, dtype=np.float32)
     noise[..., 2] = np.where(np.isnan(z), np.nan, relation.slope(phase) * phase_map.sigma)
     noise[..., :2] = noise[..., 2:] * calibration.rays.slope
-    return PointMap(points, noise, calibration.uncertainty_after(exposures))
+    return PointMap(points, noise, calibration.uncertainty_after(phase_map.exposures))
 
 
 def _stated(value):

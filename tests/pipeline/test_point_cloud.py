@@ -15,6 +15,8 @@ def some_cloud(n=50):
         xyz=rng.normal(size=(n, 3)),
         pixels=rng.integers(0, 1280, (n, 2)).astype(np.int32),
         smooth=rng.random(n) < 0.5,
+        noise_mm=rng.random((n, 3)).astype(np.float32),
+        calibration_mm=rng.random((n, 3)).astype(np.float32),
         facts={"lit_and_seen": "60", "filter": "none"},
     )
 
@@ -31,6 +33,8 @@ def test_a_cloud_comes_back_bit_by_bit(tmp_path):
     np.testing.assert_array_equal(back.xyz, cloud.xyz)
     np.testing.assert_array_equal(back.pixels, cloud.pixels)
     np.testing.assert_array_equal(back.smooth, cloud.smooth)
+    np.testing.assert_array_equal(back.noise_mm, cloud.noise_mm)
+    np.testing.assert_array_equal(back.calibration_mm, cloud.calibration_mm)
     assert back.facts == cloud.facts
 
 

@@ -81,10 +81,7 @@ class Setup:
 
     def height_sigma(self, phase_map: PhaseMap) -> np.ndarray:
         """Predicted standard deviation of z from this exposure's noise, (rows, cols) mm: |dz/dphase| times sigma."""
-        step = 1e-3
-        relation = self.calibration.phase_height
-        slope = (relation.height(phase_map.absolute + step) - relation.height(phase_map.absolute - step)) / (2 * step)
-        return np.abs(slope) * phase_map.sigma
+        return np.abs(self.calibration.phase_height.slope(phase_map.absolute)) * phase_map.sigma
 
     def claim(
         self,

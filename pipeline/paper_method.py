@@ -95,7 +95,7 @@ def _uncertainty(
 
 
 def fitted_errors(heights: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """What planes at ``heights`` (planes,), each wrong by a unit on its own, do to heights z: (n, 4) independent causes.
+    """What planes at ``heights`` (planes,), each wrong by one on its own, do to heights z: (n, 4) independent causes.
 
     A pixel's relation has four effective parameters and errs as a cubic V c through the planes does, whose covariance
     is (VᵀV)⁻¹ = R⁻¹ R⁻ᵀ with V = Q R.

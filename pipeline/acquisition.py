@@ -26,6 +26,8 @@ from .point_spread import estimate_point_spread
 from .reconstruct import PointMap, reconstruct
 from .spot_grid import MIN_SPOTS
 from .spots import BoardNotFound, Spots, detect_spots
+from .stage_free_method import calibrate_by_postures
+from .triangulation_method import calibrate_by_triangulation
 from .unfinished import Step, Unfinished
 
 _log = logging.getLogger(__name__)
@@ -64,6 +66,8 @@ class CalibrationMethod:
 METHODS: Mapping[Method, CalibrationMethod] = {
     "paper": CalibrationMethod(calibrate_by_paper, needs_planes=True, needs_spot_phases=False),
     "bundle": CalibrationMethod(calibrate_by_bundle, needs_planes=True, needs_spot_phases=True),
+    "stage-free": CalibrationMethod(calibrate_by_postures, needs_planes=False, needs_spot_phases=True),
+    "triangulation": CalibrationMethod(calibrate_by_triangulation, needs_planes=False, needs_spot_phases=True),
 }
 
 

@@ -35,7 +35,6 @@ MIN_PLANES = 3
 # Degrees of the residual fields, fixed and with depth. The camera's pose moves its picture and leans its rays.
 _CAMERA_DEGREES = (1, 5), (1, 5)
 _PROJECTOR_DEGREES = (0, 6), (0, 5)
-_ROOM = 1.05
 
 # Weak priors about zero. For the fields: standard deviation of a coefficient of total degree n is this over n + 1.
 _CAMERA_SD_PX = 0.2, 0.1
@@ -200,13 +199,6 @@ class _Weights:
     noise: np.ndarray  # (3,)
 
 
-def _field(points: np.ndarray, degrees: tuple[tuple[int, int], tuple[int, int]], depth_mm: float) -> DepthField:
-    """A field whose rectangle holds these points (n, 2), and some room: blocks and spots are wider than points."""
-    low, high = points.min(axis=0), points.max(axis=0)
-    centre, half_range = (low + high) / 2, _ROOM * (high - low) / 2
-    return DepthField((centre[0], centre[1]), (half_range[0], half_range[1]), *degrees, depth_mm)
-
-
 def _field_sd(field: DepthField, fixed: float, with_depth: float) -> np.ndarray:
     return np.where(field.with_depth, with_depth, fixed) / (1 + field.orders.sum(axis=1))
 
@@ -227,11 +219,11 @@ def _start(data: BundleData, start: CameraCalibration, board: BoardShape, height
         [*(np.full(len(p.pixels), h) for p, h in zip(data.planes, heights_mm, strict=True)), spots[seen][:, 2]]
     )
     depth = float(np.abs(z).max())
-    field = _field(start.camera.normalised(pixels), _CAMERA_DEGREES, depth)
+    field = DepthField.around(start.camera.normalised(pixels), *_CAMERA_DEGREES, depth)
     camera = ImagingPath(start.camera, start.camera_from_world, field, np.zeros((2, len(field.orders))))
     projector = ProjectorModel(row, field, np.zeros(len(field.orders)))
     points = InstrumentModel(camera, projector, np.empty(0)).points(pixels, z)
-    field = _field(projector_picture(row, points), _PROJECTOR_DEGREES, depth)
+    field = DepthField.around(projector_picture(row, points), *_PROJECTOR_DEGREES, depth)
     projector = ProjectorModel(row, field, np.zeros(len(field.orders)))
     return BundleState(
         instrument=InstrumentModel(camera, projector, np.empty(0)),

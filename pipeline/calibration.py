@@ -71,9 +71,9 @@ class Residuals:
     spot_phases_rad : (postures, spots) float64
         Of the phases at the spots; all NaN for the paper's method, which does not use them.
     planes_um : (planes, grid rows, grid cols) float32
-        Of the planes' heights, means over blocks of the picture.
+        Of the planes' heights, means over blocks of the picture; no planes for methods without.
     pixels_um : (rows, cols) float32
-        Of the planes' heights, root mean square over the planes.
+        Of the planes' heights, root mean square over the planes; all NaN for methods without.
     """
 
     centres_px: np.ndarray
@@ -89,9 +89,10 @@ class Calibration:
 
     Parameters
     ----------
-    method : "paper" or "bundle"
-        The paper's takes the stage's readings for heights and fits a relation to every pixel; the bundle fits one
-        smooth model to everything and believes the board.
+    method : Method
+        The paper's takes the stage's readings for heights and fits a relation to every pixel. The others fit one smooth
+        model and believe the board: the bundle to postures and planes, the stage-free one to postures alone, and plain
+        triangulation two pinholes with distortion to spots at their nominal places.
     camera : CameraModel
         The pinhole with distortion. Points come from ``rays``, which hold the bundle's residual field, too.
     camera_from_world : (4, 4) float64
@@ -118,7 +119,7 @@ class Calibration:
     uncertainty : CalibrationUncertainty
         How far it may displace the points that are measured with it.
     instrument : InstrumentModel or None
-        The bundle's global model with its parameters' covariance; the paper's method has none.
+        The global model with its parameters' covariance; the paper's method has none.
     point_spread : PointSpread or None
         Of the camera; None where the spots were too few to tell.
     """

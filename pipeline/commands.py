@@ -32,16 +32,18 @@ def calibrate(
     method: Annotated[
         Method,
         typer.Option(
-            "--method", help="paper: trust the stage, fit every pixel; bundle: trust the board, fit one model."
+            "--method",
+            help="paper: trust the stage, fit every pixel; bundle: trust the board, fit one model to postures and "
+            "planes; stage-free: the same model, postures alone; triangulation: pinholes, postures alone.",
         ),
     ] = "bundle",
     run: RunOption = "calibrate",
     settings: SetOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Calibrate a rig: the board in its postures, then its blank side at every plane height.
+    """Calibrate a rig: the board in its postures, then, for paper and bundle, its blank side at every plane height.
 
-    Both methods compute from the same exposures. An interrupted calibration goes on from the last finished posture or
+    An interrupted calibration goes on from the last finished posture or
     plane when the same command is given again.
     """
     exposures_done = Unfinished.beside(out).exposures

@@ -5,6 +5,8 @@ from functools import cached_property
 
 import numpy as np
 
+_ROOM = 1.05
+
 
 @dataclass(frozen=True, eq=False)
 class DepthField:
@@ -19,7 +21,7 @@ class DepthField:
     centre, half_range : tuple of 2 floats
         Of the rectangle.
     fixed_degrees, depth_degrees : tuple of 2 ints
-        Lowest and highest total degree i + j of B and of C.
+        Lowest and highest total degree i + j of B and of C; none if the highest is below the lowest.
     depth_mm : float
         Height at which the terms of C have grown to their full size.
     """
@@ -29,6 +31,15 @@ class DepthField:
     fixed_degrees: tuple[int, int]
     depth_degrees: tuple[int, int]
     depth_mm: float
+
+    @classmethod
+    def around(
+        cls, points: np.ndarray, fixed_degrees: tuple[int, int], depth_degrees: tuple[int, int], depth_mm: float
+    ) -> "DepthField":
+        """A field whose rectangle holds these points (n, 2), and some room: blocks and spots are wider than points."""
+        low, high = points.min(axis=0), points.max(axis=0)
+        centre, half_range = (low + high) / 2, _ROOM * (high - low) / 2
+        return cls((centre[0], centre[1]), (half_range[0], half_range[1]), fixed_degrees, depth_degrees, depth_mm)
 
     @cached_property
     def orders(self) -> np.ndarray:

@@ -60,6 +60,17 @@ class ProjectorModel:
         by_point[:, 2] += with_z @ self.coefficients
         return q + terms @ self.coefficients, by_point, terms
 
+    def by_row(self, xyz_world: np.ndarray) -> np.ndarray:
+        """Derivatives (n, 7) of the phase at points (n, 3) by the numbers of the row."""
+        picture, scale = _picture(self.row, xyz_world)
+        q, t = picture.T
+        _, slopes, _ = self.field.linearise(picture, xyz_world[:, 2])
+        by_q, by_t = np.einsum("f,nfj->jn", self.coefficients, slopes)
+        derivatives = np.column_stack([np.ones(len(q)), xyz_world, -q[:, None] * xyz_world])
+        derivatives *= ((1.0 + by_q) / scale)[:, None]
+        derivatives[:, 4:] -= (by_t * t / scale)[:, None] * xyz_world
+        return derivatives
+
     def moved(self, step: np.ndarray) -> "ProjectorModel":
         """The projector after a step (terms,) of its coefficients."""
         return replace(self, coefficients=self.coefficients + step)

@@ -56,7 +56,7 @@ class CalibrationUncertainty:
     def covariance(self, pixels: np.ndarray, z: np.ndarray) -> np.ndarray:
         """Covariance (n, 3, 3), mm², of points at heights (n,) that pixels (n, 2) u, v see, each for itself.
 
-        The pixels' own pattern is in it; it moves a point in z alone, for x and y follow by less than a tenth of it.
+        The pixels' own pattern is in it; it counts in z alone: x and y follow by a tenth of it.
         """
         upper = np.stack([np.sum(self.modes_mm[..., i] * self.modes_mm[..., j], axis=0) for i, j in _AXES], axis=-1)
         upper[..., -1] += np.square(self.pattern_sd_mm)[:, None, None]

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.stats import norm
 
 from .calibration_uncertainty import CalibrationUncertainty
+from .reconstruct import PointMap
 
 Measurand = Callable[[np.ndarray], float]
 """One number from points (n, 3) in mm."""
@@ -48,6 +49,23 @@ class Estimate:
         """Where the measurand lies with this probability, for normal errors."""
         half = float(norm.ppf((1 + level) / 2)) * self.sd
         return self.value - half, self.value + half
+
+
+def estimate(measurand: Measurand, point_map: PointMap, where: np.ndarray, rng: np.random.Generator) -> Estimate:
+    """The measurand of the valid points of a map ``where`` (rows, cols) bool, with its uncertainty; see `propagate`.
+
+    Noise counts as independent from pixel to pixel: of a filtered map, whose neighbours share it, too little is stated.
+
+    Raises
+    ------
+    ValueError
+        If the map was made without uncertainties.
+    """
+    if point_map.noise_mm is None or point_map.uncertainty is None:
+        raise ValueError("this point map was made without uncertainties")
+    v, u = np.nonzero(where & point_map.valid)
+    points, noise = point_map.xyz[v, u], point_map.noise_mm[v, u]
+    return propagate(measurand, points, np.stack([u, v], axis=-1), point_map.uncertainty, noise, rng)
 
 
 def propagate(

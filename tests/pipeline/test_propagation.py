@@ -5,7 +5,8 @@ import pytest
 from scipy.stats import norm
 
 from greenough.pipeline.calibration_uncertainty import CalibrationUncertainty
-from greenough.pipeline.propagation import Estimate, propagate
+from greenough.pipeline.propagation import Estimate, estimate, propagate
+from greenough.pipeline.reconstruct import PointMap
 
 U, V = (grid.ravel() for grid in np.meshgrid(np.arange(0, 100, 4.0), np.arange(0, 80, 4.0)))
 PIXELS = np.stack([U, V], axis=-1)
@@ -92,6 +93,20 @@ def test_a_nonlinear_measurand_agrees_with_a_monte_carlo():
 def test_a_pattern_of_single_pixels_averages_out_but_belongs_to_the_calibration():
     found = propagate(mean_height, points(0.0), PIXELS, uncertainty([], pattern=2e-3), None, np.random.default_rng(4))
     assert found.calibration_sd == pytest.approx(2e-3 / np.sqrt(len(U)), rel=4 / np.sqrt(2 * 200))
+
+
+def test_of_a_map_the_valid_points_that_are_asked_for_count():
+    z = np.full((80, 100), 0.5)
+    z[:, 50:] = 0.7
+    z[3, 4] = np.nan
+    v, u = np.mgrid[:80, :100]
+    surface = PointMap(np.stack([0.01 * u, 0.01 * v, z], axis=-1), np.full((80, 100, 3), 1e-3), uncertainty([lift]))
+    found = estimate(mean_height, surface, u < 50, np.random.default_rng(1))
+    assert found.value == pytest.approx(0.5)
+    assert found.calibration_sd == pytest.approx(2e-3, rel=1e-5)
+    assert found.noise_sd == pytest.approx(1e-3 / np.sqrt(3999), rel=4 / np.sqrt(2 * 200))
+    with pytest.raises(ValueError, match="made without uncertainties"):
+        estimate(mean_height, PointMap(surface.xyz), u < 50, np.random.default_rng(1))
 
 
 def test_an_interval_holds_its_level_of_a_normal_distribution():

@@ -24,6 +24,7 @@ def progress(total: float, description: str, quiet: bool = False) -> Iterator[Ca
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    # The estimate is from the speed over so many seconds: steps may take minutes each.
+    with Progress(*columns, console=Console(stderr=True), transient=True, speed_estimate_period=3600) as bar:
         task = bar.add_task(description, total=total)
         yield lambda amount: bar.advance(task, amount)

@@ -1,4 +1,4 @@
-"""The verbs that need a twin: demo, budget and bench."""
+"""The verbs that need a twin: demo, study and bench."""
 
 from dataclasses import asdict
 from pathlib import Path
@@ -39,23 +39,37 @@ def demo(
 
 
 @app.command()
-def budget(
-    rig: Annotated[str, typer.Argument(metavar="[RIG]", help="A twin.")] = "twin",
-    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="Where the lines go.")] = Path("budget.json"),
+def study(
+    study: Annotated[str, typer.Argument(metavar="STUDY", help="A built-in study, or a study file.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="FOLDER", help="Where results are kept; build/studies/NAME.")
+    ] = None,
+    scheduler: Annotated[
+        str | None, typer.Option("--scheduler", metavar="ADDRESS", help="Run on the workers of a Dask scheduler.")
+    ] = None,
     settings: SetOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Calibrate and measure planes with each physical effect off, and with each alone; say what it costs.
+    """Draw instruments, take each through an experiment, case by case, and sum up what comes of it.
 
-    Each line takes a calibration and ten captures; goes on from FILE where it was interrupted.
+    Goes on from FOLDER where it was interrupted. Exits with 1 if a run failed or a limit of the study does not hold.
     """
-    from .budget import budget as run
-    from .budget import steps_to_do, tables
+    from .studies.cluster import on_cluster
+    from .studies.runs import runs_of
+    from .studies.study import here, missing, run_study
+    from .studies.study_file import load_study
 
-    overrides = settings or []
-    with progress(steps_to_do(rig, overrides, out), "budget", quiet=as_json) as advance:
-        costs = run(rig, overrides, out, advance)
-    show(tables(costs), as_json)
+    chosen = load_study(study)
+    runs = runs_of(chosen, settings or [])
+    folder = out or Path("build/studies") / chosen.name
+    execute_all = on_cluster(scheduler) if scheduler else here
+    with progress(len(missing(runs, folder)), chosen.name, quiet=as_json) as advance:
+        summary = run_study(chosen, runs, folder, execute_all, advance)
+    rows = {"rows": [asdict(row) for row in summary.rows], "failures": summary.failures, "versions": summary.versions}
+    figures = {"statistics": [asdict(each) for each in summary.statistics]} if as_json else {}
+    show(figures | summary.tables | rows | {"folder": folder}, as_json)
+    if any(row.holds is False for row in summary.rows):
+        raise typer.Exit(1)
 
 
 @app.command()

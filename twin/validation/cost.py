@@ -6,7 +6,7 @@ exposures' errors is free of noise on average: its mean is the square of the sys
 
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +17,6 @@ from greenough.pipeline.acquisition import calibrate_by_methods
 from greenough.pipeline.calibration import Method
 from greenough.pipeline.decode import PhaseMap
 
-from ..rig import TwinRig
 from ..rig import open as open_twin
 from .height_noise import predicted_noise
 from .mechanics import expected_error
@@ -36,8 +35,6 @@ class Cost:
 
     Parameters
     ----------
-    case : str
-        What was on.
     calibration : str
         Method of the calibration.
     bias_um : float
@@ -60,7 +57,6 @@ class Cost:
         As ``systematic_predicted_um``.
     """
 
-    case: str
     calibration: str
     bias_um: float
     systematic_um: float
@@ -95,26 +91,17 @@ class PlaneSeen:
     expected: np.ndarray
 
 
-def steps(rig: TwinRig) -> int:
-    """How many equal steps of progress one twin takes."""
-    return rig.procedure.postures + rig.procedure.planes + 1 + len(HEIGHTS_MM)
-
-
-def measure_cost(
-    rig_name: str, overrides: Sequence[str], case: str, run: str, advance: Callable[[float], None]
-) -> list[Cost]:
+def measure_cost(rig_name: str, overrides: Sequence[str], run: str, advance: Callable[[float], None]) -> list[Cost]:
     """Calibrate one twin and measure planes, by all methods.
 
     Parameters
     ----------
     rig_name, overrides
         As ``greenough.twin.open`` takes them.
-    case : str
-        What the lines are called.
     run : str
         Whose noise and drifts the exposures have.
     advance : callable
-        Called with 1 after each of ``steps``.
+        Called with 1 after each posture, plane and height.
 
     Raises
     ------
@@ -137,7 +124,14 @@ def measure_cost(
             for setup, planes in zip(setups, seen, strict=True):
                 planes.append(_see(setup, pair, quantised))
             advance(1)
-    return [cost_of(case, method, planes) for method, planes in zip(METHODS, seen, strict=True)]
+    return [cost_of(method, planes) for method, planes in zip(METHODS, seen, strict=True)]
+
+
+def cost_figures(
+    rig_name: str, overrides: Sequence[str], run: str, advance: Callable[[float], None]
+) -> list[dict[str, float | str]]:
+    """`measure_cost` as flat lines, for studies."""
+    return [asdict(cost) for cost in measure_cost(rig_name, overrides, run, advance)]
 
 
 def _see(setup: Setup, pair: Sequence[PhaseMap], quantised: bool) -> PlaneSeen:
@@ -151,7 +145,7 @@ def _see(setup: Setup, pair: Sequence[PhaseMap], quantised: bool) -> PlaneSeen:
     )
 
 
-def cost_of(case: str, method: str, planes: Sequence[PlaneSeen]) -> Cost:
+def cost_of(method: str, planes: Sequence[PlaneSeen]) -> Cost:
     """The figures of one line, from planes at several heights, the lowest first."""
     pairs = [plane.errors for plane in planes]
     common = [first * second for first, second in pairs]
@@ -160,7 +154,6 @@ def cost_of(case: str, method: str, planes: Sequence[PlaneSeen]) -> Cost:
     means = [_mean(pair) for pair in pairs]
     expected = [plane.expected for plane in planes]
     return Cost(
-        case=case,
         calibration=method,
         bias_um=float(np.mean(means)),
         systematic_um=_root_of_mean([_mean(product) for product in common]),

@@ -1,4 +1,4 @@
-"""The figures of one line of the budget, from planes whose errors are known."""
+"""The figures of one line, from planes whose errors are known."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def test_systematic_errors_are_told_from_noise():
     pairs = [o + tilt + rng.normal(0, 1.5, (2, 100, 200)) for o in offsets]
     for pair in pairs:
         pair[:, :3] = np.nan
-    cost = cost_of("x", "paper", [seen(pair) for pair in pairs])
+    cost = cost_of("paper", [seen(pair) for pair in pairs])
     assert cost.noise_um == pytest.approx(1.5, rel=0.02)
     assert cost.flatness_um == pytest.approx(0.4, rel=0.1)
     assert cost.systematic_um == pytest.approx(np.sqrt(np.mean(offsets**2) + 0.16), rel=0.05)
@@ -30,7 +30,7 @@ def test_systematic_errors_are_told_from_noise():
 
 def test_an_error_of_scale_is_a_step_without_bias():
     planes = [seen(np.full((2, 4, 5), -0.5 * z), expected=-0.5 * z) for z in HEIGHTS]
-    cost = cost_of("x", "bundle", planes)
+    cost = cost_of("bundle", planes)
     assert cost.bias_um == pytest.approx(0)
     for step, systematic in (
         (cost.step_um, cost.systematic_um),
@@ -45,7 +45,7 @@ def test_an_error_of_scale_is_a_step_without_bias():
 def test_a_plane_that_was_not_measured_leaves_no_figure_that_looks_good():
     planes = [seen(np.full((2, 4, 5), 1.0), structure=0.1, noise=0.1) for _ in HEIGHTS]
     planes[2] = seen(np.full((2, 4, 5), np.nan), structure=float("nan"), noise=0.1)
-    cost = cost_of("x", "bundle", planes)
+    cost = cost_of("bundle", planes)
     for figure in (cost.bias_um, cost.systematic_um, cost.flatness_um, cost.structure_um, cost.noise_um):
         assert np.isnan(figure)
     assert cost.step_um == 0  # of the outermost
@@ -53,6 +53,6 @@ def test_a_plane_that_was_not_measured_leaves_no_figure_that_looks_good():
 
 def test_what_is_predicted_and_structure_are_root_mean_squares_over_the_heights():
     planes = [seen(np.zeros((2, 4, 5)), structure=s, noise=2 * s) for s in (0.0, 3.0, 4.0, 0.0, 0.0)]
-    cost = cost_of("x", "paper", planes)
+    cost = cost_of("paper", planes)
     assert cost.structure_um == pytest.approx(np.sqrt(5))
     assert cost.noise_predicted_um == pytest.approx(2 * np.sqrt(5))

@@ -1,115 +1,80 @@
-"""The error budget: a file from which an interrupted one goes on, and changes told from chance."""
+"""The tables of an ablation: every effect in its line, changes told from chance, nothing hidden that is missing."""
 
-import json
-from dataclasses import fields, replace
-from importlib.metadata import entry_points
+import math
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from greenough.instrument.command import GROUP, run
-from greenough.instrument.errors import InputError
-from greenough.twin.validation import budget
-from greenough.twin.validation.budget import FALSE_ALARM, MEASURED, changed, margin_of_error, steps_to_do, tables
 from greenough.twin.validation.cost import METHODS, Cost
-from greenough.twin.validation.effects import EFFECTS, REPEATS, cases, without
+from greenough.twin.validation.studies.ablation import (
+    ALL,
+    FALSE_ALARM,
+    NONE,
+    Effect,
+    cases_of,
+    changed,
+    margin_of_error,
+    tables,
+    without,
+)
+from greenough.twin.validation.studies.runs import Outcome, Run
+from greenough.twin.validation.studies.study_file import load_study
+from greenough.twin.validation.studies.summary import statistics
+from greenough.twin.validation.studies.summary import tables as study_tables
 
-FIGURES = [field.name for field in fields(Cost)][2:]
-PAGE = Path(__file__).parents[3] / "docs" / "error-budget.md"
-STEPS = 16 + 30 + 1 + 5  # postures, planes, the blank side at zero, heights
-
-
-def cost(case: str, method: str = "paper", **figures: float) -> Cost:
-    return Cost(case, method, **(dict.fromkeys(FIGURES, 1.0) | figures))
-
-
-def lines_of(monkeypatch, runs: list[str], stop_after: int | None = None) -> None:
-    def measure(rig, overrides, case, run, advance):
-        if stop_after is not None and len(runs) == stop_after:
-            raise KeyboardInterrupt
-        runs.append(case)
-        advance(STEPS)
-        return [cost(case, method) for method in METHODS]
-
-    monkeypatch.setattr(budget, "measure_cost", measure)
-
-
-def test_an_interrupted_budget_goes_on(monkeypatch, tmp_path):
-    runs: list[str] = []
-    lines_of(monkeypatch, runs, stop_after=4)
-    out = tmp_path / "budget.json"
-    with pytest.raises(KeyboardInterrupt):
-        budget.budget("twin", [], out, lambda steps: None)
-    assert [path.name for path in tmp_path.iterdir()] == ["budget.json"]
-    assert steps_to_do("twin", [], out) == STEPS * (len(cases()) - 4)
-    lines_of(monkeypatch, runs)
-    advanced: list[float] = []
-    costs = budget.budget("twin", [], out, advanced.append)
-    assert sum(advanced) == STEPS * (len(cases()) - 4)
-    assert runs == [case.name for case in cases()]
-    assert [c.case for c in costs] == [case.name for case in cases() for _ in METHODS]
-    assert len(json.loads(out.read_text())["costs"]) == len(costs)
-    assert steps_to_do("twin", [], out) == 0
+PAGE = Path(__file__).parents[4] / "docs" / "error-budget.md"
+STUDY = load_study("ablation")
+EFFECTS = STUDY.effects
+BASE = {"bias_um": 1.0, "noise_um": 1.0, "noise_predicted_um": 1.0, "step_um": 1.0}
 
 
-def test_figures_that_could_not_be_measured_are_null_and_come_back(monkeypatch, tmp_path):
-    def measure(rig, overrides, case, run, advance):
-        return [cost(case, method, bias_um=float("nan")) for method in METHODS]
+def test_an_effect_inside_another_is_added_to_it():
+    effects = {"glass": Effect(off=("a=0",)), "colour": Effect(off=("b=0",), within="glass"), "c": Effect(off=("c=0",))}
+    assert cases_of(effects) == {
+        ALL: (),
+        NONE: ("a=0", "b=0", "c=0"),
+        "glass alone": ("b=0", "c=0"),
+        "colour alone, in glass": ("c=0",),
+        "c alone": ("a=0", "b=0"),
+        "all but glass": ("a=0",),
+        "all but colour": ("b=0",),
+        "all but c": ("c=0",),
+    }
+    assert cases_of({}) == {}
 
-    monkeypatch.setattr(budget, "measure_cost", measure)
-    out = tmp_path / "budget.json"
-    budget.budget("twin", [], out, lambda steps: None)
-    written = json.loads(out.read_text(), parse_constant=pytest.fail)
-    assert {line["bias_um"] for line in written["costs"]} == {None}
-    again = budget.budget("twin", [], out, lambda steps: None)
-    assert all(np.isnan(line.bias_um) and line.step_um == 1.0 for line in again)
-    assert tables(again)["bundle, each effect off"][2]["changes"] == ""
+
+def test_each_effect_is_compared_with_the_twin_without_it():
+    effects = {"glass": Effect(off=("a=0",)), "colour": Effect(off=("b=0",), within="glass")}
+    figures = {ALL: 7.0, NONE: 0.0, "glass alone": 5.0, "colour alone, in glass": 5.0}
+    means = {case: BASE | {"step_um": step} for case, step in figures.items()}
+    means |= {without("glass"): BASE | {"step_um": 7.0}, without("colour"): BASE | {"step_um": 7.0}}
+    single, off = tables(effects, means, BASE)
+    assert [row["on"] for row in single] == [NONE, "glass", "colour", ALL]
+    assert [row["step_um"] for row in single] == [0, 5, 5, 7]
+    assert single[2]["changes"] == ""
+    assert [row["off"] for row in off] == [NONE, "(scatter over runs)", "glass", "colour"]
+    assert all("noise_predicted_um" in row for row in single)
+    assert not any("noise_predicted_um" in row for row in off)
 
 
 def test_one_line_without_figures_does_not_hide_the_changes_of_others():
-    base = cost("base")
-    costs = dict.fromkeys(EFFECTS, base)
+    costs = dict.fromkeys(EFFECTS, BASE)
     first, second = list(EFFECTS)[:2]
-    costs |= {first: replace(base, bias_um=3.0), second: replace(base, bias_um=float("nan"))}
-    named = changed(costs, dict.fromkeys(EFFECTS, base))
+    costs |= {first: BASE | {"bias_um": 3.0}, second: BASE | {"bias_um": math.nan}}
+    named = changed(costs, dict.fromkeys(EFFECTS, BASE))
     assert (named[first], named[second]) == ("bias", "")
-
-
-def test_the_file_of_other_settings_is_refused(monkeypatch, tmp_path):
-    lines_of(monkeypatch, [])
-    out = tmp_path / "budget.json"
-    budget.budget("twin", [], out, lambda steps: None)
-    with pytest.raises(InputError, match="other settings"):
-        budget.budget("twin", ["twin.seed=2"], out, lambda steps: None)
-    out.write_text("{}")
-    with pytest.raises(InputError, match="not an error budget"):
-        budget.budget("twin", [], out, lambda steps: None)
-
-
-def test_the_command_prints_a_table_of_each_method_with_each_effect_off_and_alone(monkeypatch, tmp_path, capsys):
-    lines_of(monkeypatch, [])
-    verb = ["budget", "--out", str(tmp_path / "budget.json"), "--json"]
-    assert run(verb, entry_points(group=GROUP)) == 0
-    printed = json.loads(capsys.readouterr().out)
-    assert len(printed) == 2 * len(METHODS)
-    for method in METHODS:
-        alone, off = printed[f"{method}, each effect alone"], printed[f"{method}, each effect off"]
-        assert {row["on"] for row in alone} >= set(EFFECTS)
-        assert {row["off"] for row in off} >= set(EFFECTS)
 
 
 def test_changes_are_named_where_they_exceed_what_the_other_effects_do():
     rng = np.random.default_rng(1)
-    base = cost("base")
-    costs = {
-        name: replace(base, bias_um=1 + x) for name, x in zip(EFFECTS, rng.normal(0, 0.1, len(EFFECTS)), strict=True)
-    }
+    costs = {name: BASE | {"bias_um": 1 + x} for name, x in zip(EFFECTS, rng.normal(0, 0.1, len(EFFECTS)), strict=True)}
     first, second, third = list(EFFECTS)[:3]
-    costs[first] = replace(base, bias_um=3.0, step_um=1.02)  # no other effect changes the step
-    costs[second] = replace(base, bias_um=1.05)
-    costs[third] = replace(base, step_um=1.002)
-    named = changed(costs, dict.fromkeys(EFFECTS, base))
+    costs[first] = BASE | {"bias_um": 3.0, "step_um": 1.02}  # no other effect changes the step
+    costs[second] = BASE | {"bias_um": 1.05}
+    costs[third] = BASE | {"step_um": 1.002}
+    named = changed(costs, dict.fromkeys(EFFECTS, BASE))
     assert named[first] == "bias, step"
     assert named[second] == named[third] == ""
 
@@ -139,22 +104,46 @@ def test_false_alarms_are_as_rare_only_if_idle_effects_change_a_figure_alike():
     assert alarms > 5 * FALSE_ALARM
 
 
-def test_tables_hold_what_was_measured():
-    costs = [cost(case.name, method, noise_um=float(k)) for k, case in enumerate(cases()) for method in METHODS]
-    table = tables(costs)["paper, each effect off"]
-    order = [case.name for case in cases()]
+def finished(values: dict[tuple[str, int], float]) -> list[tuple[Run, Outcome]]:
+    """A result of every run of the study ablation, of one instrument; ``values`` of (case, repeat), else 1."""
+    result = []
+    for case in STUDY.all_cases:
+        for repeat in range(1, STUDY.repeats.get(case, 1) + 1):
+            run = Run(case, 1, repeat, "cost", "twin", (), "", "")
+            noise = values.get((case, repeat), 1.0)
+            figures = [{"calibration": method} | BASE | {"noise_um": noise} for method in METHODS]
+            result.append((run, Outcome(figures, None, 1.0, {})))
+    return result
+
+
+def test_tables_hold_what_was_measured_and_the_scatter_is_that_of_the_repeats():
+    cases = list(STUDY.all_cases)
+    values = {(case, 1): float(k) for k, case in enumerate(cases)} | {(ALL, 2): 1.0, (ALL, 3): 2.0, (ALL, 4): 3.0}
+    runs = finished(values)
+    table = study_tables(STUDY, runs, statistics(runs))["paper, each effect off"]
     for row in table[2:]:
-        assert row["noise_um"] == order.index(without(row["off"]))
+        assert row["noise_um"] == cases.index(without(row["off"]))
     assert table[0]["noise_um"] == 0
-    assert table[1]["noise_um"] == pytest.approx(np.std(range(REPEATS), ddof=1), abs=5e-4)
-    assert set(MEASURED) <= set(table[0])
+    assert table[1]["noise_um"] == pytest.approx(np.std(range(4), ddof=1), abs=5e-4)
+
+
+def test_a_case_that_failed_has_a_line_without_figures():
+    runs = finished({})
+    first = next(iter(EFFECTS))
+    failed = [(run, Outcome([], "no board.", 1.0, {}) if run.case == without(first) else out) for run, out in runs]
+    table = study_tables(STUDY, failed, statistics(failed))["paper, each effect off"]
+    row = next(row for row in table if row["off"] == first)
+    assert math.isnan(row["noise_um"])
+    assert row["changes"] == ""
 
 
 def test_the_page_has_the_tables_of_the_command():
     """A line for each effect in each table, and the columns that are printed."""
-    costs = [cost(case.name, method) for case in cases() for method in METHODS]
+    figures = {field.name: 1.0 for field in fields(Cost) if field.name != "calibration"}
+    runs = [(run, Outcome([{"calibration": method} | figures for method in METHODS], None, 1.0, {}))
+            for run, _ in finished({})]  # fmt: skip
     printed = PAGE.read_text(encoding="utf-8").split("```")[3].split("\n")
-    for title, rows in tables(costs).items():
+    for title, rows in study_tables(STUDY, runs, statistics(runs)).items():
         table = printed[printed.index(f"{title}:") + 1 :][: len(rows) + 1]
         assert table[0].split() == list(dict.fromkeys(name for row in rows for name in row))
         for line, row in zip(table[1:], rows, strict=True):

@@ -1,4 +1,4 @@
-"""The cases of an error budget: every effect is there, is switched off, and is felt without the others."""
+"""The study ablation: every effect is there, is switched off, and is felt without the others."""
 
 import numpy as np
 import pytest
@@ -7,15 +7,23 @@ import greenough.twin as gt
 from greenough.instrument.contract import Placement
 from greenough.twin.rig import fringe_patterns
 from greenough.twin.settings import TwinSettings
-from greenough.twin.validation.effects import ALL, EFFECTS, GLASS, NONE, REPEATS, Case, alone, cases, without
+from greenough.twin.validation.studies.ablation import ALL, NONE, alone, without
+from greenough.twin.validation.studies.runs import runs_of
+from greenough.twin.validation.studies.study_file import load_study
 
 TINY = ("camera.rows=30", "camera.cols=40", "twin.optics.camera_focal_px=708.84", "twin.render.nodes_edges=16")
-CASES = {case.name: case for case in cases()}
+STUDY = load_study("ablation")
+EFFECTS, CASES = STUDY.effects, STUDY.all_cases
+GLASS = "lenses of glass"
 
 
-def frames(case: Case, *more: str, run: str = "test", sample: str = "board") -> np.ndarray:
+def alone_with(name: str) -> tuple[str, ...]:
+    return CASES[alone(name, EFFECTS[name])]
+
+
+def frames(case: tuple[str, ...], *more: str, run: str = "test", sample: str = "board") -> np.ndarray:
     """Two frames of a part, after drifts have had time, away from the stage's zero: (2, rows, cols)."""
-    settings = [*TINY, "twin.optics.glass=true", *case.off, *more]
+    settings = [*TINY, "twin.optics.glass=true", *case, *more]
     rig, _ = gt.open("twin", settings, run=run, exposures_done=1000)
     rig.operator.place(Placement(sample))
     rig.stage.move_to_mm(0.3)
@@ -26,19 +34,24 @@ def frames(case: Case, *more: str, run: str = "test", sample: str = "board") -> 
 @pytest.fixture(scope="module")
 def undisturbed() -> dict[str | None, np.ndarray]:
     """Frames of the twins to which one effect is added, by the effect that they have already."""
-    return {None: frames(CASES[NONE]), GLASS: frames(CASES[alone(GLASS)])}
+    return {None: frames(CASES[NONE]), GLASS: frames(alone_with(GLASS))}
 
 
 def test_every_effect_is_off_and_alone_once():
-    assert len(CASES) == len(cases())
+    assert len(CASES) == 2 + 2 * len(EFFECTS)
     for name, effect in EFFECTS.items():
         kept = {*effect.off, *(EFFECTS[effect.within].off if effect.within else ())}
-        assert CASES[without(name)].off == effect.off
-        assert set(CASES[alone(name)].off) == set(CASES[NONE].off) - kept
-    assert all(case.run == CASES[ALL].run for case in cases() if not case.name.startswith(ALL))
-    runs = [case for case in cases() if case.name.startswith(ALL)]
-    assert len({case.run for case in runs}) == len(runs) == REPEATS
-    assert not any(case.off for case in runs)
+        assert CASES[without(name)] == effect.off
+        assert set(alone_with(name)) == set(CASES[NONE]) - kept
+    assert CASES[ALL] == ()
+
+
+def test_all_cases_share_one_noise_and_everything_is_repeated_with_others():
+    runs = runs_of(STUDY)
+    assert {run.name for run in runs if run.repeat == 1} == {STUDY.name}
+    repeated = [run for run in runs if run.repeat > 1]
+    assert {run.case for run in repeated} == {ALL}
+    assert len({run.name for run in repeated} | {STUDY.name}) == STUDY.repeats[ALL] == 4
 
 
 def test_no_size_of_an_effect_is_forgotten():
@@ -53,7 +66,7 @@ def test_no_size_of_an_effect_is_forgotten():
 
 @pytest.mark.parametrize("name", EFFECTS)
 def test_each_effect_is_felt_alone(name, undisturbed):
-    assert not np.array_equal(frames(CASES[alone(name)]), undisturbed[EFFECTS[name].within])
+    assert not np.array_equal(frames(alone_with(name)), undisturbed[EFFECTS[name].within])
 
 
 def test_nothing_is_left_without_the_effects(undisturbed):
@@ -70,9 +83,9 @@ def test_nothing_is_left_without_the_effects(undisturbed):
 def test_cases_of_a_run_share_the_noise_that_both_have():
     """Read noise is the same with and without shot noise, and none of it hangs on what is measured."""
     off = [effect.off for name, effect in EFFECTS.items() if name not in ("shot noise", "read noise")]
-    both = Case("both", tuple(setting for settings in off for setting in settings))
-    read = frames(CASES[alone("read noise")]) - frames(CASES[NONE])
+    both = tuple(setting for settings in off for setting in settings)
+    read = frames(alone_with("read noise")) - frames(CASES[NONE])
     assert read.std() > 0.1
-    np.testing.assert_allclose(frames(both) - frames(CASES[alone("shot noise")]), read, atol=1e-4)
+    np.testing.assert_allclose(frames(both) - frames(alone_with("shot noise")), read, atol=1e-4)
     still = frames(CASES[NONE], sample="plane")
-    np.testing.assert_allclose(frames(CASES[alone("read noise")], sample="plane") - still, read, atol=1e-4)
+    np.testing.assert_allclose(frames(alone_with("read noise"), sample="plane") - still, read, atol=1e-4)

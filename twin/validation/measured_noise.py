@@ -99,7 +99,7 @@ def noise_rows(setup: Setup, specimens: Sequence[str] = SPECIMENS) -> Iterator[C
     """
     for name in specimens:
         for repeated in repeat(setup, name):
-            yield from _rows(setup, repeated)
+            yield from ratio_rows(setup, repeated)
 
 
 def repeat(setup: Setup, name: str) -> list[Repeated]:
@@ -143,7 +143,8 @@ def noise_ratio(repeated: Repeated, where: np.ndarray) -> NoiseRatio:
     return NoiseRatio(found.noise, stated, found.relative_sd * found.noise / stated, found.n)
 
 
-def _rows(setup: Setup, repeated: Repeated) -> Iterator[Claim]:
+def ratio_rows(setup: Setup, repeated: Repeated) -> Iterator[Claim]:
+    """The ratio of one specimen and treatment, as a whole and in classes of modulation and of slope."""
     filter, suffix = filter_name(setup, repeated.treatment), repeated.suffix
     stability = setup.bench.settings.stability
     steady = stability.flicker == stability.vibration_um == 0

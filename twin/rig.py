@@ -18,7 +18,7 @@ from greenough.instrument.contract import (
 )
 from greenough.instrument.errors import InputError
 from greenough.instrument.limits import check_patterns, check_within
-from greenough.instrument.rigfile import RigFile, load_rig_file
+from greenough.instrument.rigfile import RigFile
 
 from .bench import Bench
 from .camera import build_sensor, displaced, expose
@@ -27,7 +27,7 @@ from .plugins import FringeIntegrator
 from .plugins.lens_projector import LensProjector
 from .renderer import dr, mi
 from .scene import camera_dict, integrator_dict, mirrors_passed, pixels_passed, projector_dict, specimen_dict
-from .settings import TwinSettings, twin_settings
+from .settings import TwinSettings, load_twin_file, twin_settings
 from .workbench import Workbench
 
 BLANKING_US = 250.0  # between two patterns, while the projector loads the next
@@ -279,10 +279,7 @@ def open(
 
     Parameters are those of ``greenough.instrument.open_rig``. Raises InputError for a rig whose driver is not the twin.
     """
-    rig_file = load_rig_file(name_or_path, overrides)
-    if rig_file.driver != "greenough.twin:open_rig":
-        raise InputError(f"rig {name_or_path} is driven by {rig_file.driver}: only a twin has a bench with the truth.")
-    settings = twin_settings(rig_file)
+    rig_file, settings = load_twin_file(name_or_path, overrides)
     workbench = Workbench(rig_file, settings)
     return TwinRig(rig_file, workbench, run, exposures_done), Bench(rig_file, settings, workbench)
 

@@ -1,11 +1,13 @@
 """The ``[twin]`` section of a rig file: every physical effect and its default; ``docs/physics.md`` has what they do."""
 
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Annotated, Self
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from greenough.instrument.errors import InputError
-from greenough.instrument.rigfile import RigFile, describe_validation_error
+from greenough.instrument.rigfile import RigFile, describe_validation_error, load_rig_file
 
 _STRICT = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -159,3 +161,14 @@ def twin_settings(rig_file: RigFile) -> TwinSettings:
     except ValidationError as error:
         where = f"section [twin] of rig {rig_file.name}"
         raise InputError(describe_validation_error(error, where, TwinSettings)) from None
+
+
+def load_twin_file(name_or_path: str | Path, overrides: Sequence[str] = ()) -> tuple[RigFile, TwinSettings]:
+    """A rig file, see ``instrument.rigfile.load_rig_file``, that must be a twin's, and its ``[twin]`` section.
+
+    Raises InputError for one that is not read, for wrong fields, and for a rig whose driver is not the twin.
+    """
+    rig_file = load_rig_file(name_or_path, overrides)
+    if rig_file.driver != "greenough.twin:open_rig":
+        raise InputError(f"rig {name_or_path} is driven by {rig_file.driver}: only a twin has a bench with the truth.")
+    return rig_file, twin_settings(rig_file)

@@ -12,6 +12,7 @@ steps of progress. It raises InputError where this draw cannot be calibrated or 
 
 KINDS = {
     "cost": "greenough.twin.validation.cost:cost_figures",
+    "negative-controls": "greenough.twin.validation.negative_controls:control_figures",
 }
 """Names of the experiments that come with the package, as ``package.module:function``."""
 

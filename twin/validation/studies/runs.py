@@ -17,8 +17,7 @@ from greenough.instrument.errors import InputError
 from greenough.instrument.files import atomic_path
 from greenough.instrument.rigfile import builtin_rigs, load_rig_file
 
-from ...rig import open as open_twin
-from ...settings import twin_settings
+from ...settings import load_twin_file
 from .experiments import Figures, experiment
 from .study_file import StudyFile
 
@@ -85,15 +84,13 @@ def runs_of(study: StudyFile, overrides: Sequence[str] = ()) -> list[Run]:
     InputError
         If the rig is not a twin, or the settings of a case are refused.
     """
-    open_twin(study.rig, [*study.settings, *overrides])
     rig = study.rig if study.rig in builtin_rigs() else str(Path(study.rig).resolve())
     runs = []
     for seed in study.seeds:
         for case, settings in study.all_cases.items():
             chosen = (*study.settings, *overrides, *settings, f"twin.seed={seed}")
             try:
-                rig_file = load_rig_file(rig, chosen)
-                twin_settings(rig_file)
+                rig_file, _ = load_twin_file(rig, chosen)
             except InputError as error:
                 raise InputError(f"case {case} of study {study.name}: {error}") from None
             for repeat in range(1, study.repeats.get(case, 1) + 1):

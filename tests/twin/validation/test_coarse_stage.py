@@ -12,7 +12,6 @@ from greenough.twin.rig import open as open_twin
 from greenough.twin.scene import axis_frame
 from greenough.twin.validation.coarse_stage import (
     SHARE_LIMIT,
-    SPECIMEN,
     coarse_stage_claims,
     independent_errors_share,
     predicted_percentiles,
@@ -48,7 +47,7 @@ def test_a_coarse_stage_errs_as_predicted_and_most_such_stages_by_more_than_the_
     rows = {row.claim: row for row in coarse_stage_claims("twin", COARSE, paper, done.append)}
     rig, _ = open_twin("twin", COARSE)
     assert sum(done) == steps(rig)
-    assert {row.specimen for row in rows.values()} == {SPECIMEN}
+    assert {row.specimen for row in rows.values()} == {"plane, stage of 10 um"}
     assert {row.calibration for row in rows.values()} == {"paper"}
     for name in ("depth_p95_volume", "depth_tilted_p95", "depth_systematic_rms", "depth_tilted_systematic_rms"):
         assert rows[name].measured == pytest.approx(rows[name].predicted, rel=0.15), name

@@ -121,11 +121,7 @@ def in_plane(points: np.ndarray) -> np.ndarray:
         If fewer than 4 marks were measured or they lie on one line.
     """
     seen = np.isfinite(points).all(axis=1)
-    plane = fit_plane(points[seen])
-    a, b, c = plane.normal
-    # Rodrigues' rotation that takes the normal to (0, 0, 1), c = its cosine >= 0; without its third row.
-    to_level = np.array([[1 - a * a / (1 + c), -a * b / (1 + c), -a], [-a * b / (1 + c), 1 - b * b / (1 + c), -b]])
-    return (points - plane.point) @ to_level.T
+    return fit_plane(points[seen]).levelled(points)[:, :2]
 
 
 def _complex(places: np.ndarray) -> np.ndarray:

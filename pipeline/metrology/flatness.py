@@ -38,6 +38,13 @@ class Plane:
         """Distances (...,) of points (..., 3), positive on the normal's side."""
         return (points - self.point) @ self.normal
 
+    def levelled(self, points: np.ndarray) -> np.ndarray:
+        """Points (..., 3) about ``point``, the plane turned into the horizontal the shortest way: z is the distance."""
+        a, b, c = self.normal
+        # Rodrigues' rotation that takes the normal to (0, 0, 1); c is its cosine and not negative.
+        rotation = np.array([[1 - a * a / (1 + c), -a * b / (1 + c), -a], [-a * b / (1 + c), 1 - b * b / (1 + c), -b]])
+        return (points - self.point) @ np.vstack([rotation, self.normal]).T
+
 
 def fit_plane(points: np.ndarray, sigma: np.ndarray | None = None) -> Plane:
     """The plane with the least sum of squared distances of points along its normal.

@@ -25,6 +25,16 @@ def test_points_on_a_tilted_plane_have_none():
     np.testing.assert_allclose(result.plane.distances(tilted() + 0.1 * NORMAL), 0.1)
 
 
+def test_levelled_points_keep_their_distances_and_lie_on_their_heights():
+    rng = np.random.default_rng(3)
+    plane, points = fit_plane(tilted()), rng.uniform(-1, 1, (6, 3))
+    level = plane.levelled(points)
+    np.testing.assert_allclose(level[:, 2], plane.distances(points), atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(level, axis=1), np.linalg.norm(points - plane.point, axis=1))
+    axis = np.cross(NORMAL, [0, 0, 1])  # of the shortest turn: stays
+    np.testing.assert_allclose(plane.levelled(plane.point + axis), axis, atol=1e-12)
+
+
 def test_a_chequered_departure_is_its_own_flatness():
     """Alternately 1 um above and below, along the normal: no plane fits it better than the one without it."""
     sign = np.where(np.indices((20, 20)).sum(axis=0) % 2, 1.0, -1.0).ravel()

@@ -5,6 +5,9 @@ errors, fixed patterns of the camera, interreflections. What is left is to be as
 were stated, as a whole and in every class of modulation and slope, since errors that compensate would not be seen as a
 whole. Flicker and vibration are no noise of single pixels and are not in what is stated: a twin with ``STEADY`` has
 neither, and its rows must keep to the limit; otherwise rows only report.
+
+Of a part that one exposure suffices for, the variance of the phase is also compared with the least that any estimate
+could have, `pipeline.phase_bound`: pixel by pixel, with the camera's data sheet and whole grey values.
 """
 
 from collections.abc import Iterator, Sequence
@@ -18,6 +21,7 @@ from greenough.instrument.contract import Placement
 from greenough.pipeline.acquisition import measure_phase
 from greenough.pipeline.decode import PhaseMap
 from greenough.pipeline.metrology.measurement_noise import noise_by_subtraction
+from greenough.pipeline.phase_bound import grey_information, phase_bound
 from greenough.pipeline.phasor_filter import filter_phasors
 
 from .claims import Claim
@@ -30,10 +34,16 @@ STEADY = ("twin.stability.flicker=0", "twin.stability.vibration_um=0")
 """Overrides of a twin whose noise is that of single pixels."""
 
 RATIO_TOLERANCE = 0.05
+BOUND_LIMIT = 1.05
+"""Of the variance over the bound of Cramér and Rao."""
+
 MODULATION_CLASSES = 5
 SLOPES_DEG = (0.0, 10.0, 20.0, 30.0, 45.0, 90.0)
 LEAST_PIXELS = 1000
 """Of a class that has a row: their noise is known to 2 % or better."""
+
+_LIGHT_LEVELS = 200  # between which the information of a grey value is interpolated
+_AT_ONCE = 50_000  # pixels
 
 _REACH = 1.7  # full widths at half maximum from the middle of a Gaussian to where the filter ends, 4 sigmas
 
@@ -98,14 +108,21 @@ def noise_rows(setup: Setup, specimens: Sequence[str] = SPECIMENS) -> Iterator[C
         Names of samples; each is measured twice.
     """
     for name in specimens:
-        for repeated in repeat(setup, name):
+        pair = phase_pair(setup, name)
+        for repeated in treated(setup, name, pair):
             yield from ratio_rows(setup, repeated)
+        if name not in SHINY:
+            yield bound_row(setup, name, pair)
 
 
-def repeat(setup: Setup, name: str) -> list[Repeated]:
-    """Measure one specimen twice, shiny ones by several exposures each: raw and filtered."""
+def phase_pair(setup: Setup, name: str) -> list[PhaseMap]:
+    """Measure one specimen twice, shiny ones by several exposures each."""
     brackets = setup.calibration.procedure.brackets if name in SHINY else (1.0,)
-    pair = [measure_phase(setup.rig, setup.calibration, Placement(name), brackets) for _ in range(2)]
+    return [measure_phase(setup.rig, setup.calibration, Placement(name), brackets) for _ in range(2)]
+
+
+def treated(setup: Setup, name: str, pair: Sequence[PhaseMap]) -> list[Repeated]:
+    """The specimen that is mounted, from two phase maps of it: raw and filtered."""
     slope_deg = np.degrees(np.arccos(np.clip(setup.bench.truth().normal_world[..., 2], -1, 1)))
     width = setup.filter_fwhm_px
     both = pair[0].valid & pair[1].valid
@@ -143,11 +160,47 @@ def noise_ratio(repeated: Repeated, where: np.ndarray) -> NoiseRatio:
     return NoiseRatio(found.noise, stated, found.relative_sd * found.noise / stated, found.n)
 
 
+def bound_row(setup: Setup, name: str, pair: Sequence[PhaseMap]) -> Claim:
+    """Variance of the phase over the least that is possible, averaged over the pixels of two phase maps."""
+    first, second = pair
+    seen = first.valid & second.valid
+    background, modulation = (
+        (getattr(first, what)[seen] + getattr(second, what)[seen]).astype(np.float64) / 2
+        for what in ("background", "modulation")
+    )
+    phase = first.absolute[seen].astype(np.float64)
+    light = np.geomspace(0.02, max(1.0, float((background + modulation).max(initial=0))), _LIGHT_LEVELS)
+    information = grey_information(light, setup.rig.camera.noise, quantised=True)
+    parts = np.array_split(np.arange(len(phase)), max(1, len(phase) // _AT_ONCE))
+    bound = np.concatenate(
+        [
+            phase_bound(
+                background[k], modulation[k], phase[k], setup.calibration.procedure.steps[-1],
+                lambda at: np.interp(at, light, information),
+            )
+            for k in parts
+        ]
+    )  # fmt: skip
+    difference = phase - second.absolute[seen]
+    excess = (difference - difference.mean()) ** 2 / 2 / bound
+    steady = _steady(setup)
+    return setup.claim(
+        "phase_variance_over_bound", name, float(excess.mean()), "1", len(excess),
+        "half the squared difference of two phase maps, over the bound of Cramér and Rao with Poisson, normal and "
+        f"rounding noise: at most {BOUND_LIMIT:g} without flicker and vibration",
+        limit=BOUND_LIMIT if steady else None, predicted=1.0, predicted_sd=float(np.sqrt(2 / max(len(excess), 1))),
+        expected_to_hold=True if steady else None,
+    )  # fmt: skip
+
+
+def _steady(setup: Setup) -> bool:
+    stability = setup.bench.settings.stability
+    return stability.flicker == stability.vibration_um == 0
+
+
 def ratio_rows(setup: Setup, repeated: Repeated) -> Iterator[Claim]:
     """The ratio of one specimen and treatment, as a whole and in classes of modulation and of slope."""
     filter, suffix = filter_name(setup, repeated.treatment), repeated.suffix
-    stability = setup.bench.settings.stability
-    steady = stability.flicker == stability.vibration_um == 0
     everywhere = np.ones_like(repeated.inside)
     subtracted = "two maps subtracted, over √2"
 
@@ -166,7 +219,7 @@ def ratio_rows(setup: Setup, repeated: Repeated) -> Iterator[Claim]:
         predicted=1e3 * counted.stated, predicted_sd=1e3 * counted.stated * counted.sd,
     )  # fmt: skip
     where = "all" if repeated.inside.all() else "whose surroundings within the filter's reach are measured"
-    limit = RATIO_TOLERANCE if steady else None
+    limit = RATIO_TOLERANCE if _steady(setup) else None
     yield row("noise_ratio", counted, f"1 to {RATIO_TOLERANCE:g} without flicker and vibration; {where}", limit)
     if not repeated.inside.all():
         yield row("noise_ratio_everywhere", noise_ratio(repeated, everywhere), "edges and rims included")

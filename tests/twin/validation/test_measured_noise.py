@@ -1,12 +1,17 @@
 """Measured over stated noise, on pairs of maps whose noise is known."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from greenough.instrument.contract import CameraNoise
 from greenough.instrument.errors import InputError
+from greenough.pipeline.decode import decode
+from greenough.pipeline.fringes import PAPER
 from greenough.twin.settings import StabilitySettings, TwinSettings
 from greenough.twin.validation.measured import FILTERED, RAW
-from greenough.twin.validation.measured_noise import RATIO_TOLERANCE, Repeated, noise_ratio, ratio_rows
+from greenough.twin.validation.measured_noise import RATIO_TOLERANCE, Repeated, bound_row, noise_ratio, ratio_rows
 
 SHAPE = (200, 300)
 STEADY = TwinSettings(stability=StabilitySettings(flicker=0.0, vibration_um=0.0))
@@ -76,6 +81,31 @@ def test_filtered_maps_are_judged_where_the_filters_reach_is_measured_and_report
     assert everywhere.measured > 1.02
     assert everywhere.limit is None
     assert {row.filter for row in found.values()} != {"none"}
+
+
+@pytest.mark.parametrize(("added_dn", "holds"), [(0.0, True), (0.7, False)])
+def test_the_phase_of_simulated_frames_is_at_its_bound_unless_they_have_more_noise(analytic, added_dn, holds):
+    """40 000 pixels: their variance is known to 0.7 %."""
+    rng, shape = np.random.default_rng(4), (200, 200)
+    camera = CameraNoise(6500.0, 10.0, 6500 / 251)
+    column = np.linspace(100, 500, shape[0] * shape[1]).reshape(shape)
+    angle = [
+        2 * np.pi * (column / p + n / k) for p, k in zip(PAPER.periods, PAPER.steps, strict=True) for n in range(k)
+    ]
+    electrons = camera.electrons_per_dn * (97 + 75 * np.cos(np.array(angle)))
+    maps = []
+    for _ in range(2):
+        more = rng.normal(0, np.hypot(10.0, added_dn * camera.electrons_per_dn), electrons.shape)
+        grey = np.rint((rng.poisson(electrons) + more) / camera.electrons_per_dn)
+        maps.append(decode(np.clip(grey, 0, 255).astype(np.uint8), PAPER, camera))
+    setup = analytic(settings=STEADY)
+    setup.rig.camera = SimpleNamespace(noise=camera)
+    found = bound_row(setup, "plane", maps)
+    assert found.n == maps[0].valid.sum() > 39_000
+    assert (found.holds, found.expected_to_hold) == (holds, True)
+    # The variance of a grey value is 3.98 DN² in the mean; the weights make more of noise that is alike in all frames.
+    least = 1 + added_dn**2 / 3.98
+    assert 0.97 * least < found.measured < 1.08 * least
 
 
 def test_few_pixels_are_refused():

@@ -11,6 +11,7 @@ Experiment = Callable[[str, Sequence[str], str, Callable[[float], None]], list[F
 steps of progress. It raises InputError where this draw cannot be calibrated or measured."""
 
 KINDS = {
+    "calibrations": "greenough.twin.validation.calibration_comparison:comparison_figures",
     "cost": "greenough.twin.validation.cost:cost_figures",
     "negative-controls": "greenough.twin.validation.negative_controls:control_figures",
 }

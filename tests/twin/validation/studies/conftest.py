@@ -26,6 +26,7 @@ from greenough.twin.settings import twin_settings
 def measure(rig, overrides, run, advance):
     settings = twin_settings(load_rig_file(rig, overrides))
     visit = {"pid": os.getpid(), "seed": settings.seed, "run": run, "start": time.time()}
+    visit |= {"sd": settings.stage.position_sd_um}
     time.sleep(0.05)
     visit |= {"threads": [dr.thread_count(), cv2.getNumThreads()], "end": time.time()}
     with Path(__file__).with_name(f"{run.split()[0]}.visits").open("a") as file:

@@ -48,7 +48,7 @@ def test_noise_that_is_stated_rightly_has_the_ratio_one_within_its_own_spread(se
 def test_rows_hold_for_right_noise_and_not_for_wrong_noise(analytic):
     for excess, holds in ((1.0, True), (1.1, False), (0.9, False)):
         row = rows(analytic(settings=STEADY), repeated(excess=excess))["noise_ratio"]
-        assert row.measured == pytest.approx(excess, rel=0.02)
+        assert row.measured == pytest.approx(excess, rel=0.035)
         assert (row.holds, row.expected_to_hold, row.limit) == (holds, True, RATIO_TOLERANCE)
 
 
@@ -61,15 +61,15 @@ def test_errors_that_compensate_show_in_the_classes(analytic):
     excess = np.where(np.arange(SHAPE[1]) < 60, 0.94, 1.22)
     found = rows(analytic(settings=STEADY), repeated(excess=excess))
     assert found["noise_ratio"].holds
-    assert found["noise_ratio_modulation_1"].measured == pytest.approx(0.94, rel=0.03)
-    assert found["noise_ratio_modulation_5"].measured == pytest.approx(1.22, rel=0.03)
+    assert found["noise_ratio_modulation_1"].measured == pytest.approx(0.94, rel=0.035)
+    assert found["noise_ratio_modulation_5"].measured == pytest.approx(1.22, rel=0.035)
 
 
 def test_slopes_have_rows_of_their_own(analytic):
     steep = np.where(np.linspace(60, 0, SHAPE[0])[:, None] >= 45, 1.5, 1.0)
     found = rows(analytic(settings=STEADY), repeated(excess=steep))
-    assert found["noise_ratio_slope_45_90deg"].measured == pytest.approx(1.5, rel=0.03)
-    assert found["noise_ratio_slope_0_10deg"].measured == pytest.approx(1.0, rel=0.03)
+    assert found["noise_ratio_slope_45_90deg"].measured == pytest.approx(1.5, rel=0.045)
+    assert found["noise_ratio_slope_0_10deg"].measured == pytest.approx(1.0, rel=0.045)
 
 
 def test_filtered_maps_are_judged_where_the_filters_reach_is_measured_and_reported_everywhere(analytic):

@@ -14,10 +14,10 @@ In the paper's set a wrong start ends 600 columns away (50 periods of the denses
 only for the outermost 8 or 9 columns on either side. The odds decide there, and where they do not suffice the pixel
 stays unresolved. So does a pixel whose only possible chain is excluded by the odds.
 
-The coarser sets only count fringes and are not averaged into the phase. With N_i steps of the period p_i they would take
-the share N_i p² / (N p_i²) of its variance, a few per cent, but interreflection and blur draw wide fringes otherwise
-than narrow ones, and on solder the weighted difference is more than the noise gained: ``tests/full/test_coarse_sets.py``
-measures both.
+The coarser sets only count fringes and are not averaged into the phase. With N_i steps of the period p_i they would
+take the share N_i p² / (N p_i²) of its variance, a few per cent, but interreflection and blur draw wide fringes
+otherwise than narrow ones, and on solder their weighted difference is more than the noise gained
+(``tests/full/test_coarse_sets.py`` measures both).
 """
 
 from collections.abc import Sequence

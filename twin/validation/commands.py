@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from greenough.instrument.progress import progress
-from greenough.instrument.verbs import JsonOption, SetOption, show
+from greenough.instrument.verbs import JsonOption, RigArgument, SetOption, show
 
 app = typer.Typer()
 
@@ -69,6 +69,39 @@ def study(
     figures = {"statistics": [asdict(each) for each in summary.statistics]} if as_json else {}
     show(figures | summary.tables | rows | {"folder": folder}, as_json)
     if any(row.holds is False for row in summary.rows):
+        raise typer.Exit(1)
+
+
+@app.command()
+def accept(
+    rig: RigArgument,
+    calibration: Annotated[
+        Path | None,
+        typer.Option("--calibration", metavar="CAL.h5", help="Of this rig. [default: calibrated first, beside FILE]"),
+    ] = None,
+    out: Annotated[Path, typer.Option("--out", metavar="FILE.json", help="Where the table goes.")] = Path(
+        "acceptance.json"
+    ),
+    settings: SetOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Measure certified artefacts with a twin and judge spheres, planes, steps, grating, noise, resolution and parts.
+
+    Exits with 1 if a row does not keep to its limit or is missing.
+    """
+    from .acceptance.table import accept as run
+    from .acceptance.table import captures
+
+    overrides = settings or []
+    total = captures(rig, overrides, calibrated=calibration is not None)
+    with progress(total, "accepting", quiet=as_json) as advance:
+        acceptance = run(rig, overrides, calibration, out, advance)
+    rows = [asdict(row) for row in acceptance.rows]
+    if not as_json:
+        rows = [{name: value for name, value in row.items() if name != "criterion"} for row in rows]
+    beside = {"not_holding": acceptance.not_holding, "missing": dict(acceptance.missing), "table": out}
+    show({"rows": rows, **beside}, as_json)
+    if not acceptance.accepted:
         raise typer.Exit(1)
 
 

@@ -13,7 +13,7 @@ from greenough.instrument import hdf5
 from greenough.instrument.contract import KnownUncertainty, Procedure, RigIdentity, SpotBoard
 from greenough.instrument.errors import InputError
 
-from .calibration_uncertainty import CalibrationUncertainty, frame_drift
+from .calibration_uncertainty import CalibrationUncertainty
 from .camera_model import CameraModel
 from .fringes import FringeSet
 from .imaging_path import ImagingPath
@@ -149,14 +149,14 @@ class Calibration:
     def uncertainty_after(self, exposures: int) -> CalibrationUncertainty:
         """What calibration and drifts may do to points of a run that has taken so many exposures.
 
-        The table's drift displaces all points alike. The path's drift δ moves the fringes across the specimen, and with
-        them each point along its ray, by δ |dΦ/dx| dz/dΦ in height; over the narrow field this hardly varies.
+        The path's drift δ moves the fringes across the specimen, and with them each point along its ray, by
+        δ |dΦ/dx| dz/dΦ in height; over the narrow field this hardly varies. The table's drift within the run moves the
+        part itself, which is measured where it is.
         """
         if exposures == 0:
             return self.uncertainty
-        share = exposures / self.procedure.exposures
-        path = self.known.path_drift_mm * np.sqrt(share) * self._along_ray_per_shift()
-        return self.uncertainty.joined(np.vstack([frame_drift(self.known, share), path]))
+        walked = np.sqrt(exposures / self.procedure.exposures)
+        return self.uncertainty.joined(self.known.path_drift_mm * walked * self._along_ray_per_shift()[None])
 
     def _along_ray_per_shift(self) -> np.ndarray:
         """What a unit shift of the fringes across the specimen moves a point by, (3,), in the middle of the picture."""

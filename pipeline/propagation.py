@@ -88,8 +88,9 @@ def propagate(
         u, v of the pixels that saw them.
     uncertainty : CalibrationUncertainty
         Of these points: a point map has it.
-    noise : (n, 3) or None
-        What one standard deviation of each point's own noise moves it by; None if noise is left out.
+    noise : (n, 3), (n, 3, m) or None
+        What one standard deviation of each point's own noise moves it by, or of ``m`` independent causes of its noise;
+        None if noise is left out.
     rng : numpy.random.Generator
         Draws noise, and the pattern of single pixels where the calibration has one.
 
@@ -106,14 +107,17 @@ def propagate(
     ]
     variance = float(np.sum(np.square(contributions)))
     if uncertainty.pattern_sd_mm.any():
-        pattern = np.zeros_like(points)
-        pattern[:, 2] = np.interp(points[:, 2], uncertainty.heights_mm, uncertainty.pattern_sd_mm)
+        pattern = np.zeros((*points.shape, 1))
+        pattern[:, 2, 0] = np.interp(points[:, 2], uncertainty.heights_mm, uncertainty.pattern_sd_mm)
         variance += _scatter(measurand, points, pattern, rng) ** 2
-    noise_sd = float("nan") if noise is None else _scatter(measurand, points, noise, rng)
+    noise_sd = float("nan") if noise is None else _scatter(measurand, points, noise.reshape(*points.shape, -1), rng)
     return Estimate(value, noise_sd, float(np.sqrt(variance)))
 
 
 def _scatter(measurand: Measurand, points: np.ndarray, sd: np.ndarray, rng: np.random.Generator) -> float:
-    """Standard deviation of the measurand if every point is displaced by its own multiple of ``sd`` (n, 3)."""
-    draws = [measurand(points + rng.standard_normal((len(points), 1)) * sd) for _ in range(NOISE_DRAWS)]
+    """Standard deviation of the measurand if every point is displaced by its own multiples of ``sd`` (n, 3, m)."""
+    n, _, causes = sd.shape
+    draws = [
+        measurand(points + np.einsum("nk,nik->ni", rng.standard_normal((n, causes)), sd)) for _ in range(NOISE_DRAWS)
+    ]
     return float(np.std(draws, ddof=1))

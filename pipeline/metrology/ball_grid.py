@@ -5,6 +5,7 @@ diameters come from the flanks and are known by the cap that was seen, which is 
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -19,8 +20,9 @@ from .sphere import Sphere, fit_sphere
 APEX_CAP_DEG = 15.0
 """The apex is the top of the best paraboloid over this slope of a ball."""
 
-DIAMETER_CAP_DEG = 60.0
-"""The diameter is that of the Gauss sphere of the points up to this slope, as far as they were seen."""
+FIRST_CAP_DEG, DIAMETER_CAP_DEG = 20.0, 60.0
+"""The diameter is that of the Gauss sphere of the points up to the first slope, and on to the second one as far as they
+were seen and lie on one sphere."""
 
 MISSING_BELOW = 0.25
 """Share of the drawn height: where the median height in a ball's core is lower, no ball is there."""
@@ -34,6 +36,8 @@ _SKIRT = 0.65  # of a diameter: nearer to a place, points may be the ball's flan
 _SURROUNDINGS = 0.8  # of the pitch: substrate farther from a place than this is not the ball's own
 _FLAT_SHARE = 0.15  # of the drawn height: substrate does not lie farther from the package's plane
 _FAR = 0.15  # of a diameter: what lies farther from a nominal ball was not seen in direct light
+_RING_DEG = 5.0
+_AGREES = 5.0  # standard deviations
 _ROUNDS = 3
 _SD_PER_MAD = 1.4826
 
@@ -49,13 +53,14 @@ class BallGridMeasurement:
     missing : (balls,) bool
         Substrate was seen where the ball should be.
     unseen : (balls,) bool
-        Too little was measured to say.
+        Too little was measured to say, or what was has no top: blur that is not taken out tilts a shiny ball's cap.
     low : (balls,) bool
         The height is below the drawn one by more than its tolerance.
     height, height_sd : (balls,) float64
         Of the apex above the substrate around the ball, perpendicular to it, and its standard deviation by the fits'
         residuals, errors taken for independent.
     diameter, diameter_sd : (balls,) float64
+        Of the Gauss sphere; errors that neighbouring points share, as a filter's or stray light's, are not in the sd.
     cap_half_angle_deg : (balls,) float64
         Of the points that the diameter is from.
     offset : (balls, 2) float64
@@ -135,18 +140,15 @@ def _measure(near: np.ndarray, place: np.ndarray, drawing: BallGridDrawing) -> _
     core = near[aside < _CORE * drawing.diameter]
     if len(core) < _LEAST_POINTS:
         return _Ball()
-    top = np.median(core[:, 2])
-    if top < MISSING_BELOW * drawing.height:
+    if np.median(core[:, 2]) < MISSING_BELOW * drawing.height:
         return _Ball(missing=True)
     radius = drawing.diameter / 2
-    sphere, stray = _cap_sphere(near, np.append(place, top - radius), radius)
-    middle = place if sphere is None else sphere.centre[:2]
-    if sphere is not None:
-        radius = sphere.radius
-    found = _paraboloid_top(near, middle, radius * np.sin(np.radians(APEX_CAP_DEG)))
+    upper = near[(aside < radius) & (near[:, 2] > np.median(core[:, 2]) / 2)]
+    found = _paraboloid_top(near, upper[:, :2].mean(axis=0), radius * np.sin(np.radians(APEX_CAP_DEG)))
     if found is None:
         return _Ball()
     apex, apex_sd, n_apex = found
+    sphere, stray = _cap_sphere(near, apex - [0.0, 0.0, radius], radius)
     around = near[(aside > _SKIRT * drawing.diameter) & (np.abs(near[:, 2]) < _FLAT_SHARE * drawing.height)]
     x, y = (around[:, :2] - apex[:2]).T
     substrate = _trimmed_fit(np.column_stack([np.ones_like(x), x, y]), around[:, 2])
@@ -158,25 +160,56 @@ def _measure(near: np.ndarray, place: np.ndarray, drawing: BallGridDrawing) -> _
 
 
 def _cap_sphere(near: np.ndarray, centre: np.ndarray, radius: float) -> tuple[Sphere | None, int]:
-    """Gauss sphere of the points (n, 3) on a ball's cap, from a start, and how many strays it leaves out there."""
-    limit, start = _FAR * 2 * radius, radius
-    sphere, stray = None, 0
+    """Gauss sphere of the points (n, 3) on a ball's cap, from a start, and how many strays it leaves out there.
+
+    The cap grows from the apex, ring by ring, as long as the next ring lies on the sphere so far: its median residual
+    within what that sphere's covariance and the noise leave, its scatter no more than twice the first cap's. Light that
+    came by way of a neighbour, and blur at the foot, would make a sphere of their own.
+    """
+    slopes = np.radians(np.arange(FIRST_CAP_DEG, DIAMETER_CAP_DEG + 1e-9, _RING_DEG))
+    start, limit = radius, _FAR * 2 * radius
+    sphere = None
     for _ in range(_ROUNDS):
-        offset = near - centre
-        cap = np.hypot(offset[:, 0], offset[:, 1]) < radius * np.sin(np.radians(DIAMETER_CAP_DEG))
-        cap &= offset[:, 2] > 0
-        on_ball = cap & (np.abs(np.linalg.norm(offset, axis=1) - radius) < limit)
-        if on_ball.sum() < _LEAST_POINTS:
+        sphere, stray = _sphere_within(near, centre, radius, slopes[0], limit)
+        if sphere is None or not 0.5 < sphere.radius / start < 2:  # too noisy a cap: no ball of this drawing
             return None, 0
-        try:
-            sphere = fit_sphere(near[on_ball])
-        except InputError:
-            return None, 0
-        if not 0.5 < sphere.radius / start < 2:  # a cap too small or too noisy: no ball of this drawing
-            return None, 0
-        centre, radius, stray = sphere.centre, sphere.radius, int(cap.sum() - on_ball.sum())
-        limit = STRAY * _SD_PER_MAD * float(np.median(np.abs(sphere.residuals)))
+        centre, radius = sphere.centre, sphere.radius
+        noise = _SD_PER_MAD * float(np.median(np.abs(sphere.residuals)))
+        limit = STRAY * noise
+    for inner, outer in pairwise(slopes):
+        offset = near - sphere.centre
+        aside, distance = np.hypot(offset[:, 0], offset[:, 1]), np.linalg.norm(offset, axis=1)
+        ring = (aside >= sphere.radius * np.sin(inner)) & (aside < sphere.radius * np.sin(outer)) & (offset[:, 2] > 0)
+        n = int(ring.sum())
+        if n < _LEAST_POINTS:
+            break
+        residual = distance[ring] - sphere.radius
+        middle = np.median(residual)
+        by_sphere = -np.append(np.mean(offset[ring] / distance[ring, None], axis=0), 1.0)
+        left = by_sphere @ sphere.covariance @ by_sphere + np.pi / 2 * noise**2 / n  # a median's variance
+        scatter = _SD_PER_MAD * np.median(np.abs(residual - middle))
+        if abs(middle) > _AGREES * np.sqrt(left) or scatter > 2 * noise:
+            break
+        grown, strays = _sphere_within(near, sphere.centre, sphere.radius, outer, limit)
+        if grown is None:
+            break
+        sphere, stray = grown, strays
     return sphere, stray
+
+
+def _sphere_within(
+    near: np.ndarray, centre: np.ndarray, radius: float, slope: float, limit: float
+) -> tuple[Sphere | None, int]:
+    """Gauss sphere of the points up to a slope of one that is known roughly, none farther from it than ``limit``."""
+    offset = near - centre
+    cap = (np.hypot(offset[:, 0], offset[:, 1]) < radius * np.sin(slope)) & (offset[:, 2] > 0)
+    on_ball = cap & (np.abs(np.linalg.norm(offset, axis=1) - radius) < limit)
+    if on_ball.sum() < _LEAST_POINTS:
+        return None, 0
+    try:
+        return fit_sphere(near[on_ball]), int(cap.sum() - on_ball.sum())
+    except InputError:
+        return None, 0
 
 
 def _paraboloid_top(near: np.ndarray, middle: np.ndarray, reach: float) -> tuple[np.ndarray, float, int] | None:
@@ -188,7 +221,10 @@ def _paraboloid_top(near: np.ndarray, middle: np.ndarray, reach: float) -> tuple
     if fitted is None or fitted[0][3] >= 0:
         return None
     (c, a, b, k), sd, n = fitted
-    return np.array([middle[0] - a / (2 * k), middle[1] - b / (2 * k), c - (a * a + b * b) / (4 * k)]), sd, n
+    aside = -np.array([a, b]) / (2 * k)
+    if np.hypot(*aside) > reach:  # no top where there are points
+        return None
+    return np.append(middle + aside, c - (a * a + b * b) / (4 * k)), sd, n
 
 
 def _trimmed_fit(design: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, float, int] | None:

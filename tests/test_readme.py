@@ -4,6 +4,7 @@ import doctest
 import glob
 import re
 import shlex
+from collections.abc import Callable, Sequence
 from importlib.metadata import entry_points
 from pathlib import Path
 
@@ -14,6 +15,7 @@ import pytest
 import trimesh
 
 from greenough.instrument.command import GROUP, run
+from greenough.twin.validation.studies import builtin_studies
 
 README = Path(__file__).parent.parent / "README.md"
 
@@ -58,19 +60,36 @@ def folder(tmp_path_factory) -> Path:
 def test_examples_run_in_the_order_of_the_page_and_the_commands_with_them(folder, monkeypatch, capsys):
     monkeypatch.chdir(folder)
     examples = doctest.DocTestParser().get_doctest("\n".join(blocks("python")), {}, "README.md", str(README), 0)
-    lines = "\n".join(blocks("sh")).splitlines()
+    lines = "".join(blocks("sh")).splitlines()
     verbs = {line.split()[1] for line in lines}
-    assert verbs == {"demo", "check", "calibrate", "measure", "compare", "decode", "record", "replay", "optics"}
+    assert verbs == {
+        "demo",
+        "check",
+        "calibrate",
+        "measure",
+        "compare",
+        "decode",
+        "record",
+        "replay",
+        "optics",
+        "study",
+    }
 
     patterns = np.load(saved_by(examples, "patterns.npy"))
     Path("frames").mkdir()
     for k, pattern in enumerate(patterns):
         cv2.imwrite(f"frames/{k:02d}.png", pattern // 2 + 50)  # neither dark nor saturated
 
+    # What the study's runs find is tested in twin/validation; here they only have to be made.
+    runs: list[str] = []
+    monkeypatch.setattr("greenough.twin.validation.cost.cost_figures", cost_figures(runs))
+    Path("stage.toml").write_text(*blocks("toml"), encoding="utf-8")
+
     for line in lines:
         # The demo and the comparison of its files are run by twin/validation/test_demo.py.
         if "demo" not in line:
             assert command(line) == 0, f"{line}\n{capsys.readouterr().err}"
+    assert len(runs) == 10
     with h5py.File("phase.h5") as file:
         assert np.mean(file["valid"][()]) > 0.9
 
@@ -79,6 +98,14 @@ def test_examples_run_in_the_order_of_the_page_and_the_commands_with_them(folder
     runner.run(examples, out=report.append)
     assert runner.failures == 0, "".join(report)
     assert runner.tries == len(examples.examples) > 25
+
+
+def cost_figures(runs: list[str]) -> Callable[..., list[dict[str, float | str]]]:
+    def measure(rig: str, overrides: Sequence[str], run: str, advance: object) -> list[dict[str, float | str]]:
+        runs.append(run)
+        return [{"calibration": "bundle", "step_um": 0.1}]
+
+    return measure
 
 
 def saved_by(examples: doctest.DocTest, name: str) -> str:
@@ -96,8 +123,13 @@ def test_opens_with_the_two_lines_that_matter():
     assert [line.strip() for line in lines[2:4]] == ["make demo", "make test"]
 
 
+def test_every_study_is_listed():
+    table = README.read_text(encoding="utf-8").partition("| study | what |")[2].partition("\n\n")[0]
+    assert set(re.findall(r"`([\w-]+)`", table)) == set(builtin_studies())
+
+
 def test_linked_files_exist():
-    links = re.findall(r"\]\(([^)#]+)\)", README.read_text(encoding="utf-8"))
+    links = re.findall(r"\]\((?!https:)([^)#]+)\)", README.read_text(encoding="utf-8"))
     assert links
     for link in links:
         assert (README.parent / link).exists(), link

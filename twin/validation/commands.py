@@ -111,14 +111,17 @@ def bench(
     settings: SetOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Time the costly steps on this machine.
+    """Time the costly steps on this machine, and a study on one worker of a cluster and on two.
 
     Exits with 1 if a ratio exceeds its limit.
     """
     from .benchmark import benchmark
+    from .studies.cluster_benchmark import two_workers
 
-    with progress(5, "bench", quiet=as_json) as advance:
-        rows = benchmark(rig, settings or [], advance)
+    with progress(6, "bench", quiet=as_json) as advance:
+        workers = two_workers(rig, settings or [])
+        advance(1)
+        rows = [*benchmark(rig, settings or [], advance), workers]
     show({"rows": [asdict(row) for row in rows]}, as_json)
     if any(row.holds is False for row in rows):
         raise typer.Exit(1)

@@ -3,6 +3,7 @@
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import closing
+from types import ModuleType
 
 from greenough.instrument.errors import InputError
 
@@ -28,12 +29,7 @@ def on_cluster(address: str) -> Execute:
         If Dask is not installed, and from the runs: if the scheduler or its workers do not answer, if the scheduler is
         lost, and, when all others are done, if runs were given up because their workers kept dying.
     """
-    try:
-        import distributed
-    except ModuleNotFoundError:
-        raise InputError(
-            "--scheduler needs Dask, which is not installed: pip install 'greenough[cluster]' here and on every worker."
-        ) from None
+    distributed = dask()
 
     def execute_all(runs: Sequence[Run]) -> Iterator[tuple[Run, Outcome]]:
         try:
@@ -49,19 +45,33 @@ def on_cluster(address: str) -> Execute:
                     f"the scheduler at {address} has no workers: start some with dask worker {address} --nthreads 1."
                 ) from None
             waiting = {client.submit(execute_in_worker, run, key=run.digest): run for run in runs}
-            for future in distributed.as_completed(waiting, loop=client.loop):
-                run = waiting.pop(future)
-                if future.cancelled() or future.status == "lost":
-                    raise InputError(f"the scheduler at {address} was lost: give the same command again to go on.")
-                if isinstance(future.exception(), distributed.KilledWorker):
-                    lost.append(run)
-                else:
-                    yield run, future.result()
+            try:
+                for future in distributed.as_completed(waiting, loop=client.loop):
+                    run = waiting.pop(future)
+                    if isinstance(future.exception(), distributed.KilledWorker):
+                        lost.append(run)
+                    else:
+                        yield run, future.result()
+            except (distributed.comm.CommClosedError, distributed.client.FutureCancelledError):
+                raise InputError(
+                    f"the scheduler at {address} was lost: give the same command again to go on."
+                ) from None
         if lost:
             names = ", ".join(f"{run.case} of seed {run.seed}" for run in lost)
             raise InputError(f"workers died of {names}: give them more memory, and the same command again to go on.")
 
     return execute_all
+
+
+def dask() -> ModuleType:
+    """The package ``distributed``; raises InputError where it is not installed."""
+    try:
+        import distributed
+    except ModuleNotFoundError:
+        raise InputError(
+            "clusters need Dask, which is not installed: pip install 'greenough[cluster]' here and on every worker."
+        ) from None
+    return distributed
 
 
 def execute_in_worker(run: Run) -> Outcome:

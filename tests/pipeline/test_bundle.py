@@ -315,6 +315,20 @@ def test_half_the_postures_are_enough_for_a_worse_result(draw):
     assert np.std(rigid_rest(result.errors()[:, 2])) < 0.5e-3
 
 
+def test_a_board_taken_for_larger_makes_all_lengths_larger_by_as_much(draw, spot_board):
+    """The same observations with a drawing 1 ‰ larger: nothing else in the model knows a length."""
+    made = draw(1)
+    larger = replace(
+        spot_board,
+        pitch_mm=1.001 * spot_board.pitch_mm,
+        big_diameter_mm=1.001 * spot_board.big_diameter_mm,
+        small_diameter_mm=1.001 * spot_board.small_diameter_mm,
+    )
+    other = replace(made, bundle=solve(made.data, np.array([0.0, *FEWER]), larger))
+    change = other.errors() - made.errors()
+    np.testing.assert_allclose(change, 1e-3 * VOLUME, atol=0.03e-3 * 2.5)
+
+
 def test_wrong_observations_are_left_out(acquire, draw, spot_board):
     instrument, data, centres, readings = acquire(0)
     data.spots[2].centres_px[7] += [0.5, -0.4]

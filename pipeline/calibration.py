@@ -149,14 +149,18 @@ class Calibration:
     def uncertainty_after(self, exposures: int) -> CalibrationUncertainty:
         """What calibration and drifts may do to points of a run that has taken so many exposures.
 
-        The path's drift δ moves the fringes across the specimen, and with them each point along its ray, by
-        δ |dΦ/dx| dz/dΦ in height; over the narrow field this hardly varies. The table's drift within the run moves the
-        part itself, which is measured where it is.
+        The table's drift within the run moves the part itself, which is measured where it is.
         """
-        if exposures == 0:
-            return self.uncertainty
+        return self.uncertainty if exposures == 0 else self.uncertainty.joined(self.path_drift(exposures)[None])
+
+    def path_drift(self, exposures: int) -> np.ndarray:
+        """What the path's drift over so many exposures moves points by, (3,) mm: one standard deviation.
+
+        A drift δ moves the fringes across the specimen, and with them each point along its ray, by δ |dΦ/dx| dz/dΦ in
+        height; over the narrow field this hardly varies.
+        """
         walked = np.sqrt(exposures / self.procedure.exposures)
-        return self.uncertainty.joined(self.known.path_drift_mm * walked * self._along_ray_per_shift()[None])
+        return self.known.path_drift_mm * walked * self._along_ray_per_shift()
 
     def _along_ray_per_shift(self) -> np.ndarray:
         """What a unit shift of the fringes across the specimen moves a point by, (3,), in the middle of the picture."""

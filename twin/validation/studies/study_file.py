@@ -55,7 +55,8 @@ class StudyFile(BaseModel):
     ``figures`` are those that the tables show, all by default; ``x`` heads the column of the cases. ``effects`` adds
     the cases of an ablation, see ``ablation.cases_of``. ``repeats`` says how often a case is run on each instrument,
     each time with noise and drifts of its own. A limit is what the root mean square of a figure over all runs may
-    reach: of every line with that figure, or, written ``LINE.FIGURE``, of lines of that case or with that text.
+    reach: of every line with that figure, or, written ``LINE.FIGURE``, of lines of that case or with that text. A rate
+    is how often a figure that is 0 or 1 should be 1.
     """
 
     model_config = _STRICT
@@ -70,6 +71,7 @@ class StudyFile(BaseModel):
     repeats: dict[_Name, Annotated[int, Field(ge=2, le=1000)]] = {}
     figures: tuple[_Name, ...] = ()
     limits: _Limits = {}
+    rates: dict[_Name, Annotated[float, Field(gt=0, lt=1)]] = {}
 
     @field_validator("kind")
     @classmethod

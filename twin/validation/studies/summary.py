@@ -6,11 +6,15 @@ from dataclasses import asdict, dataclass
 from itertools import groupby
 
 import numpy as np
+from scipy.stats import binom
 
 from ..benchmark import Row
 from . import ablation
 from .runs import Outcome, Run
 from .study_file import StudyFile
+
+FALSE_ALARM = 0.01
+"""Chance that any of a study's rates is refused although all are what they should be."""
 
 UNITS = {"um": "µm", "mm": "mm", "px": "px", "deg": "°", "rad": "rad", "ppm": "ppm", "s": "s", "min": "min"}
 
@@ -45,6 +49,11 @@ class Statistics:
     rms: float
     p95: float
     max: float
+
+    @property
+    def title(self) -> str:
+        """All three names."""
+        return ", ".join(filter(None, (self.case, self.line, self.figure)))
 
 
 Finished = Sequence[tuple[Run, Outcome]]
@@ -87,10 +96,11 @@ def _statistics(case: str, line: str, figure: str, values: np.ndarray, runs: int
 
 
 def rows(study: StudyFile, finished: Finished, found: Sequence[Statistics]) -> list[Row]:
-    """What must hold: no run failed, and every limit of the study.
+    """What must hold: no run failed, every limit, and every rate of the study.
 
-    A limit holds if the root mean square over all runs of the case reaches it at most. It does not where a run has no
-    such figure, or no run at all. Of two limits for one figure that of its line or case counts.
+    A limit holds if the root mean square over all runs of the case reaches it at most. Of two limits for one figure
+    that of its line or case counts. A rate holds if the share of ones lies in `rate_interval`. Neither does where a run
+    has no such figure, or no run at all.
     """
     failed = sum(outcome.failure is not None for _, outcome in finished)
     result = [Row("failed runs", failed, "", limit=0, holds=failed == 0)]
@@ -102,11 +112,27 @@ def rows(study: StudyFile, finished: Finished, found: Sequence[Statistics]) -> l
             used.update(set(names) & set(study.limits))
             limit = study.limits[name]
             holds = each.missing == 0 and each.rms <= limit
-            title = ", ".join(filter(None, (each.case, each.line, each.figure)))
-            result.append(Row(f"{title}, rms", each.rms, unit_of(each.figure), limit=limit, holds=holds))
+            result.append(Row(f"{each.title}, rms", each.rms, unit_of(each.figure), limit=limit, holds=holds))
     missing = (name for name in study.limits if name not in used)
     result += [Row(f"{name}, rms", math.nan, unit_of(name), limit=study.limits[name], holds=False) for name in missing]
-    return result
+    judged = [each for each in found if each.figure in study.rates and each.n]
+    for each in judged:
+        low, high = rate_interval(study.rates[each.figure], each.n, len(judged))
+        peer = f"{low:.4g} to {high:.4g}"
+        holds = each.missing == 0 and low <= each.mean <= high
+        result.append(Row(f"{each.title}, rate", each.mean, "", peer, holds=holds))
+    seen = {each.figure for each in judged}
+    return result + [Row(f"{name}, rate", math.nan, "", holds=False) for name in study.rates if name not in seen]
+
+
+def rate_interval(rate: float, n: int, together: int) -> tuple[float, float]:
+    """Shares that ``n`` independent draws have but for a chance of ``FALSE_ALARM``, of any of ``together`` such shares.
+
+    Binomial, with an equal part of the chance on either side and, by Bonferroni, for each share.
+    """
+    tail = FALSE_ALARM / (2 * together)
+    low, high = binom.ppf([tail, 1 - tail], n, rate)
+    return float(low) / n, float(high) / n
 
 
 def unit_of(figure: str) -> str:

@@ -17,7 +17,8 @@ elimination from the last harmonic K to the first,
 and z_1 = B exp(iφ) has the variance (1 - g t_1) 2V/N across and along. With K large t_k tends to
 ρ = (1 - sqrt(1 - 4g²)) / (2g); these are the weights of frames by their inverse variance, whose fit has the variance
 2V / (N (1 + ρ²)), the bound of Cramér and Rao. With K harmonics this is exceeded by the factor
-(1 - ρ^(2K+2)) / (1 - ρ^(2K)), and K = 1 is eq. 2. The angle φ by which the harmonics are turned is that of eq. 2;
+(1 - ρ^(2K+2)) / (1 - ρ^(2K)), and K = 1 is eq. 2 (`phase_bound` has the bound of grey values as they are, counted,
+read and rounded). The angle φ by which the harmonics are turned is that of eq. 2;
 its error counts only together with the noise of the higher ones.
 
 Harmonics in the fringes themselves, from a response that is not linear, are in phase with them: the j-th is

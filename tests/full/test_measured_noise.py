@@ -11,7 +11,7 @@ from greenough.pipeline.calibration import Calibration
 from greenough.twin.validation.measured_noise import BOUND_LIMIT, RATIO_TOLERANCE, SPECIMENS, STEADY, noise_rows
 from greenough.twin.validation.setup import Setup
 
-FEW = ("procedure.postures=8", "procedure.planes=6", "procedure.plane_step_mm=0.5", "twin.render.nodes_edges=16")
+FEW = ("procedure.postures=8", "procedure.planes=10", "procedure.plane_step_mm=0.3", "twin.render.nodes_edges=16")
 
 
 @pytest.fixture(scope="module")

@@ -131,7 +131,7 @@ def _change(setup: Setup, one: str, first: _Film, other: str, second: _Film) -> 
     volume, true_volume = (float(np.sum(each[seen])) * _CELL_MM**2 for each in (change, true))
     yield row(
         setup, f"diaphragm_volume_{one}_{other}", volume, "mm^3", int(seen.sum()),
-        f"volume under the film within {FIELD_MM[0]:g} mm of its axis and |y| < {FIELD_MM[1]:g} mm, {other} less {one}; "
+        f"volume within {FIELD_MM[0]:g} mm of the film's axis and |y| < {FIELD_MM[1]:g} mm, {other} less {one}; "
         f"in cells of {_CELL_MM:g} mm, {np.mean(seen):.1%} of them measured; peer: the true one; limit of their "
         f"difference: {CLAIM} over the area",
         limit=1e-3 * CLAIM_UM * area, judged=volume - true_volume, peer=true_volume, filter=first.filter,

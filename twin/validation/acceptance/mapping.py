@@ -61,7 +61,7 @@ def rows_of_marks(setup: Setup, grating: Artefact, spots: Spots) -> Iterator[Row
         ("alpha_y", found.alpha_y, 1.0),
         ("squareness_xy", found.squareness, 0.0),
     ):
-        u = _standard_uncertainty(name, marks, spots, certified, setup, found)
+        u = _standard_uncertainty(name, grating, marks, spots, certified, found)
         what = "measured over certified lengths" if ideal else "angle of the axes less a right one"
         against = "; peer: 1; its difference from 1 must keep to the limit" if ideal else "; limit"
         yield row(
@@ -72,12 +72,12 @@ def rows_of_marks(setup: Setup, grating: Artefact, spots: Spots) -> Iterator[Row
 
 
 def _standard_uncertainty(
-    name: str, marks: np.ndarray, spots: Spots, certified: np.ndarray, setup: Setup, found: MappingDeviation
+    name: str, grating: Artefact, marks: np.ndarray, spots: Spots, certified: np.ndarray, found: MappingDeviation
 ) -> float:
     """By the calibration, and by the scatter of the marks about the affine map."""
     seen = np.isfinite(marks).all(axis=1)
     field = {"alpha_x": "alpha_x", "alpha_y": "alpha_y", "squareness_xy": "squareness"}[name]
-    uncertainty = setup.calibration.uncertainty_after(0)
+    uncertainty = grating.raw.uncertainty
     by_calibration = 0.0
     if uncertainty is not None:
         by_calibration = propagate(

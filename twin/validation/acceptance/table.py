@@ -136,11 +136,10 @@ def accept(
         If the rig is not a twin, its settings are refused, or the calibration is not its own. What an artefact's
         measurement or evaluation refuses makes its rows missing instead.
     """
-    calibration = (
-        _calibrate(rig_name, overrides, out, advance)
-        if calibration_file is None
-        else Calibration.load(calibration_file)
-    )
+    if calibration_file is None:
+        calibration = _calibrate(rig_name, overrides, out, advance)
+    else:
+        calibration = Calibration.load(calibration_file)
     rig, bench = open_twin(rig_name, overrides, run=MEASUREMENT_RUN)
     calibration.check_fits(rig.identity, rig.camera.shape)
     still, still_bench = open_twin(rig_name, [*overrides, *STEADY], run=f"{MEASUREMENT_RUN} steady")

@@ -2,12 +2,11 @@
 
 A model that is fitted to postures alone is known where their spots were, in the picture and in height. Between them it
 interpolates, and beyond them polynomials run away. So a pixel is calibrated over that part of its ray which lies within
-the convex hull of all spots with a phase, as points (u, v, z); every spot stands for half a pitch around it, for spots
-are no closer to each other than one pitch, and what lies between two is at most half of it from the nearer one.
+the convex hull of all spots with a phase, as points (u, v, z). Every spot stands for half a pitch around it, as far as
+to the middle between it and its neighbour.
 
-Over the middle of the field tilted boards reach as high as their edges do; towards the rim of the field the hull is
-thinner, and a board that never reached there leaves it out. The true hull is often not filled: no spot may have been
-near its highest places over the middle, which are between those at its ends.
+Over the middle of the field tilted boards support heights as far as their edges reach on either side, though no spot may
+have been there: it lies between spots. Towards the rim of the field the hull is thinner.
 """
 
 from collections.abc import Mapping

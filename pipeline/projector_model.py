@@ -14,6 +14,7 @@ from .legendre_field import DepthField
 
 _REWEIGHTINGS = 3
 _LEAST_SHARE = 1e-9  # of the largest singular value
+_LEAST_LENGTH = 1e-3  # of the longest column
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +88,8 @@ def fit_row(xyz_world: np.ndarray, phase: np.ndarray) -> np.ndarray:
     shift, scale = phase.mean(), max(float(np.ptp(phase)), 1e-9)
     reduced = (phase - shift) / scale
     design = np.concatenate([np.ones((len(phase), 1)), xyz_world, -reduced[:, None] * xyz_world], axis=1)
-    lengths = np.maximum(np.linalg.norm(design, axis=0), 1e-300)
+    lengths = np.linalg.norm(design, axis=0)
+    lengths = np.maximum(lengths, _LEAST_LENGTH * lengths.max())  # heights that are rounding must stay small
     solution, weight = np.zeros(7), np.ones(len(phase))
     for _ in range(_REWEIGHTINGS):  # the linear form weighs each residual by its denominator
         fitted, _, rank, _ = np.linalg.lstsq(design / lengths * weight[:, None], reduced * weight, rcond=_LEAST_SHARE)

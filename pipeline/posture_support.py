@@ -5,8 +5,8 @@ interpolates, and beyond them polynomials run away. So a pixel is calibrated ove
 the convex hull of all spots with a phase, as points (u, v, z). Every spot stands for half a pitch around it, as far as
 to the middle between it and its neighbour.
 
-Over the middle of the field tilted boards support heights as far as their edges reach on either side, though no spot may
-have been there: it lies between spots. Towards the rim of the field the hull is thinner.
+Over the middle of the field tilted boards support heights as far as their edges reach on either side, though no spot
+may have been there: it lies between spots. Towards the rim of the field the hull is thinner.
 """
 
 from collections.abc import Mapping

@@ -40,6 +40,7 @@ _RING_DEG = 5.0
 _AGREES = 5.0  # standard deviations
 _ROUNDS = 3
 _SD_PER_MAD = 1.4826
+_EXACT_MM = 1e-6  # noise of points that have none
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,10 +113,10 @@ def measure_ball_grid(points: PointMap, drawing: BallGridDrawing) -> BallGridMea
     pose = find_package(xyz, drawing)
     local = pose.in_drawing(xyz)
     nearest = KDTree(drawing.places).query(local[:, :2], distance_upper_bound=_SURROUNDINGS * drawing.pitch)[1]
-    order = np.argsort(nearest, kind="stable")
-    bounds = np.searchsorted(nearest[order], np.arange(len(drawing.places) + 1))
+    local, bounds = local[np.argsort(nearest)], np.searchsorted(np.sort(nearest), np.arange(len(drawing.places) + 1))
     balls = [
-        _measure(local[order[bounds[k] : bounds[k + 1]]], place, drawing) for k, place in enumerate(drawing.places)
+        _measure(local[first:end], place, drawing)
+        for place, (first, end) in zip(drawing.places, pairwise(bounds), strict=True)
     ]
     return _in_array(balls, pose, drawing)
 
@@ -167,15 +168,10 @@ def _cap_sphere(near: np.ndarray, centre: np.ndarray, radius: float) -> tuple[Sp
     came by way of a neighbour, and blur at the foot, would make a sphere of their own.
     """
     slopes = np.radians(np.arange(FIRST_CAP_DEG, DIAMETER_CAP_DEG + 1e-9, _RING_DEG))
-    start, limit = radius, _FAR * 2 * radius
-    sphere = None
-    for _ in range(_ROUNDS):
-        sphere, stray = _sphere_within(near, centre, radius, slopes[0], limit)
-        if sphere is None or not 0.5 < sphere.radius / start < 2:  # too noisy a cap: no ball of this drawing
-            return None, 0
-        centre, radius = sphere.centre, sphere.radius
-        noise = _SD_PER_MAD * float(np.median(np.abs(sphere.residuals)))
-        limit = STRAY * noise
+    first = _first_cap(near, centre, radius, slopes[0])
+    if first is None:
+        return None, 0
+    sphere, stray, noise = first
     for inner, outer in pairwise(slopes):
         offset = near - sphere.centre
         aside, distance = np.hypot(offset[:, 0], offset[:, 1]), np.linalg.norm(offset, axis=1)
@@ -190,26 +186,43 @@ def _cap_sphere(near: np.ndarray, centre: np.ndarray, radius: float) -> tuple[Sp
         scatter = _SD_PER_MAD * np.median(np.abs(residual - middle))
         if abs(middle) > _AGREES * np.sqrt(left) or scatter > 2 * noise:
             break
-        grown, strays = _sphere_within(near, sphere.centre, sphere.radius, outer, limit)
+        grown = _sphere_within(near, sphere.centre, sphere.radius, outer, STRAY * noise)
         if grown is None:
             break
-        sphere, stray = grown, strays
+        sphere, stray = grown
     return sphere, stray
+
+
+def _first_cap(near: np.ndarray, centre: np.ndarray, radius: float, slope: float) -> tuple[Sphere, int, float] | None:
+    """Gauss sphere of the first cap, its strays, and the noise of its points; None if it is no ball of the drawing."""
+    found, nominal, limit = None, radius, _FAR * 2 * radius
+    for _ in range(_ROUNDS):
+        within = _sphere_within(near, centre, radius, slope, limit)
+        if within is None or not 0.5 < within[0].radius / nominal < 2:
+            return None
+        sphere, stray = within
+        centre, radius = sphere.centre, sphere.radius
+        noise = max(_SD_PER_MAD * float(np.median(np.abs(sphere.residuals))), _EXACT_MM)
+        found, limit = (sphere, stray, noise), STRAY * noise
+    return found
 
 
 def _sphere_within(
     near: np.ndarray, centre: np.ndarray, radius: float, slope: float, limit: float
-) -> tuple[Sphere | None, int]:
-    """Gauss sphere of the points up to a slope of one that is known roughly, none farther from it than ``limit``."""
+) -> tuple[Sphere, int] | None:
+    """Gauss sphere of the points up to a slope of one that is known roughly, none farther from it than ``limit``.
+
+    With it, how many are; None if the points make no sphere.
+    """
     offset = near - centre
     cap = (np.hypot(offset[:, 0], offset[:, 1]) < radius * np.sin(slope)) & (offset[:, 2] > 0)
     on_ball = cap & (np.abs(np.linalg.norm(offset, axis=1) - radius) < limit)
     if on_ball.sum() < _LEAST_POINTS:
-        return None, 0
+        return None
     try:
         return fit_sphere(near[on_ball]), int(cap.sum() - on_ball.sum())
     except InputError:
-        return None, 0
+        return None
 
 
 def _paraboloid_top(near: np.ndarray, middle: np.ndarray, reach: float) -> tuple[np.ndarray, float, int] | None:

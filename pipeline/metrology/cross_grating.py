@@ -82,7 +82,7 @@ def mapping_deviation(measured: np.ndarray, certified: np.ndarray) -> MappingDev
     seen = np.isfinite(measured).all(axis=1)
     n = int(seen.sum())
     if n < LEAST_MARKS:
-        raise InputError(f"{n} of the grating's {len(seen)} marks were measured: at least {LEAST_MARKS} are needed")
+        raise InputError(f"{n} of the grating's {len(measured)} marks were measured: at least {LEAST_MARKS} are needed")
     to, start = measured[seen] - measured[seen].mean(axis=0), certified[seen] - certified[seen].mean(axis=0)
     if np.linalg.matrix_rank(start) < 2:
         raise InputError(f"the {n} marks that were measured lie on one line: measure marks of several rows")
@@ -97,7 +97,7 @@ def mapping_deviation(measured: np.ndarray, certified: np.ndarray) -> MappingDev
     stretch = stretch_axes * stretches @ stretch_axes.T  # P of M = P R
     return MappingDeviation(
         n=n,
-        of=len(seen),
+        of=len(measured),
         scale=float(np.abs(turn)),
         rotation=float(np.angle(turn)),
         deviations=deviations,

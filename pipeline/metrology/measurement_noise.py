@@ -123,7 +123,7 @@ def _common(maps: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
             f"{', '.join(map(str, sorted(shapes)))}"
         )
     heights = np.array(maps, dtype=float)
-    measured = np.isfinite(heights).all(axis=0)
+    measured = np.asarray(np.isfinite(heights).all(axis=0))
     if measured.sum() < _LEAST_PIXELS:
         raise InputError(
             f"{measured.sum()} pixels have a height in all {len(maps)} maps, and measurement noise needs at least "

@@ -80,7 +80,7 @@ def test_between_two_states_lies_the_difference_of_their_volumes_and_deflections
     assert stroke(low, high).stroke == pytest.approx(2.76, rel=1e-4)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(
     turn=st.floats(-3, 3), tilt=st.tuples(st.floats(-0.05, 0.05), st.floats(-0.05, 0.05)),
     shift=st.tuples(*[st.floats(-5, 5)] * 3),
@@ -93,6 +93,15 @@ def test_it_does_not_matter_how_the_part_lies(turn, tilt, shift):
     assert volume(moved).volume == pytest.approx(volume(still).volume, rel=1e-3)
     assert stroke(still, moved).stroke == pytest.approx(0, abs=1e-4)
     assert np.abs(moved.rim.residuals).max() < 1e-9
+
+
+def test_a_rim_that_is_seen_on_one_side_only_moves_nothing():
+    points = seen(0.8)
+    points.xyz[points.xyz[..., 0] > 2.0] = np.nan
+    state = measure_state(points, CENTRED)
+    assert state.centre_height == pytest.approx(0.8, rel=1e-4)
+    whole = np.isfinite(state.heights) & (np.arange(100) * state.cell - RADIUS < 1.9)  # no cell cut at 2 mm
+    np.testing.assert_allclose(state.heights[whole], measured(0.8).heights[whole], atol=1e-6)
 
 
 def test_what_is_missing_is_stated_and_its_volume_is_below_the_bound():
@@ -116,12 +125,12 @@ def test_a_hole_in_either_state_is_missing_between_them():
 
 
 def test_the_centre_scatters_as_it_says():
-    """300 captures with 3 um of noise: mean within 4.5 sd, variance within chi2's limits at 1e-5."""
+    """200 captures with 3 um of noise: mean within 4.5 sd, variance within chi2's limits at 1e-5."""
     rng = np.random.default_rng(3)
-    states = [measure_state(seen(0.5, 3e-3, rng, px=120), CENTRED) for _ in range(300)]
+    states = [measure_state(seen(0.5, 3e-3, rng, px=90), CENTRED) for _ in range(200)]
     heights, sd = np.array([s.centre_height for s in states]), np.sqrt(np.mean([s.centre_sd**2 for s in states]))
-    assert abs(heights.mean() - 0.5) < 4.5 * sd / np.sqrt(300) + 0.5e-4
-    low, high = chi2.ppf([0.5e-5, 1 - 0.5e-5], 299) / 299
+    assert abs(heights.mean() - 0.5) < 4.5 * sd / np.sqrt(200) + 0.5e-4
+    low, high = chi2.ppf([0.5e-5, 1 - 0.5e-5], 199) / 199
     assert low < heights.var(ddof=1) / sd**2 < high
     both = stroke(states[0], states[1])
     assert both.sd == pytest.approx(np.hypot(states[0].centre_sd, states[1].centre_sd))

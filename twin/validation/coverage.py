@@ -41,7 +41,7 @@ CAP_SHARE = 0.6
 """Of a ball's radius: so far around its top it is measured, up to slopes of 37 degrees."""
 
 ACROSS = 48  # points across the picture that stand for a plane
-ON_CAP = 32  # points across a ball's cap
+ON_CAP = 40  # points across a ball's cap
 
 Figures = dict[str, float | str]
 
@@ -214,9 +214,7 @@ def _estimate(measurand: Callable[[np.ndarray], float], points: Points, rng: np.
     return propagate(measurand, points.xyz, points.pixels, points.uncertainty, points.noise, rng)
 
 
-def rendered_captures(
-    rig_name: str, overrides: Sequence[str], run: str, advance: Callable[[float], None]
-) -> Captures:
+def rendered_captures(rig_name: str, overrides: Sequence[str], run: str, advance: Callable[[float], None]) -> Captures:
     """Calibrate a rendered twin by the bundle and measure with it in another run."""
     rig, bench = open_twin(rig_name, overrides, run)
     with TemporaryDirectory() as folder, rig:
@@ -259,9 +257,13 @@ def plane_height(world_from_plane: np.ndarray) -> float:
 
 def _sampled(points: PointMap, every: float) -> Points:
     """Single pixels ``every`` so many, no noise averaged: they stand for all."""
-    assert points.noise_mm is not None and points.uncertainty is not None
+    assert points.noise_mm is not None
+    assert points.uncertainty is not None
     step = max(1, round(every))
-    v, u = (grid.ravel() for grid in np.mgrid[step // 2 : points.xyz.shape[0] : step, step // 2 : points.xyz.shape[1] : step])
+    v, u = (
+        grid.ravel()
+        for grid in np.mgrid[step // 2 : points.xyz.shape[0] : step, step // 2 : points.xyz.shape[1] : step]
+    )
     found = Points(
         points.xyz[v, u], np.stack([u, v], axis=-1).astype(float), points.noise_mm[v, u][..., None], points.uncertainty
     )
@@ -283,7 +285,7 @@ def _measured_spots(setup: Setup) -> Points:
 
 
 def points_of(instrument: InstrumentModel, pixels: np.ndarray, phase: np.ndarray) -> np.ndarray:
-    """Points (n, 3) that a model's paths meet in for pixels (n, 2) and phases (n,); NaN where one is. Newton's method."""
+    """Points (n, 3) where a model's paths of pixels (n, 2) and phases (n,) meet, NaN where one is; Newton's method."""
     known = np.isfinite(pixels).all(axis=1) & np.isfinite(phase)
     xyz = np.full((len(pixels), 3), np.nan)
     at = instrument.points(pixels[known], np.zeros(int(known.sum())))

@@ -1,0 +1,162 @@
+"""What `greenough.twin.validation.coverage` judges, without rendering: a bundle of observations and points by it."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from greenough.instrument.contract import KnownUncertainty, Placement
+from greenough.instrument.rigfile import load_rig_file
+from greenough.pipeline.bundle import solve_bundle
+from greenough.pipeline.calibration_uncertainty import CalibrationUncertainty, uncertainty_of_model
+from greenough.pipeline.instrument_model import InstrumentModel
+
+from ..instability import Instability
+from ..quadrature import nodes_of_direct_light
+from ..randomness import run_rng
+from ..settings import twin_settings
+from .coverage import ACROSS, CAP_SHARE, ON_CAP, PLANE_MM, Captures, Points, noise_of_spots, plane_height, points_of
+from .light_paths import Nodes, renderer_nodes
+from .observations import (
+    EXPOSING,
+    Noise,
+    Surface,
+    build,
+    moved_by,
+    observe,
+    path_shift,
+    phase_of,
+    see_spots,
+)
+from .pitch import POSTURE
+from .step import STEP_MM
+
+
+def observed_captures(rig_name: str, overrides: Sequence[str], run: str, noise: Noise | None = None) -> Captures:
+    """Calibrate by observations and measure by them in another run; parameters as those of ``greenough.twin.open``.
+
+    ``noise`` is by default what rendered captures of the default rig show.
+    """
+    rig_file = load_rig_file(rig_name, overrides)
+    settings, noise = twin_settings(rig_file), noise or Noise()
+    rng = run_rng(settings.seed, run, "observations")
+    instrument = build(rig_file, settings, run)
+    calibrating = observe(instrument, noise, rng)
+    known, procedure, board = rig_file.uncertainty.contract, rig_file.procedure.contract, rig_file.board.nominal
+    time = calibrating.exposures_at_postures / procedure.exposures
+    drift = known.path_drift_mm**2 * np.minimum.outer(time, time)
+    bundle = solve_bundle(calibrating.data, calibrating.camera, board, calibrating.readings_mm, drift)
+    model, heights = bundle.state.instrument, bundle.state.planes[1:, 0]
+    uncertainty = uncertainty_of_model(model, float(heights.min()), float(heights.max()), known, float(time[-1]))
+
+    stability = Instability(settings.stability, settings.seed, f"{run} measured", instrument.instability.exposures)
+    measuring = replace(instrument, instability=stability)
+    bench, world_from_twin = measuring.workbench, calibrating.world_from_twin
+    bench.position = 0.0
+    frames = sum(procedure.steps)
+    serial = EXPOSING
+
+    def seen(pixels: np.ndarray, relief, nodes: Nodes) -> Points:
+        """Points of single pixels of what is mounted."""
+        surface = Surface(
+            moved_by(measuring, serial, only_densest=True) @ bench.twin_from_part(),
+            relief,
+            path_shift(measuring, serial),
+        )
+        phase = phase_of(measuring, surface, pixels, nodes)
+        phase = phase + noise.pixel_phase_rad * rng.standard_normal(len(phase))
+        xyz = points_of(model, pixels, phase)
+        sigma = np.full(len(pixels), noise.pixel_phase_rad)
+        own = noise_of_spots(model, np.nan_to_num(xyz), np.zeros(len(pixels)), sigma)[..., 2:]
+        within = np.abs(xyz[:, 2]) < STEP_MM  # far beyond are no points
+        return Points(
+            np.where(within[:, None], xyz, np.nan), pixels, own, later(uncertainty, model, known, serial + frames)
+        ).seen
+
+    def later(
+        uncertainty: CalibrationUncertainty, model: InstrumentModel, known: KnownUncertainty, exposures: int
+    ) -> CalibrationUncertainty:
+        walked = known.path_drift_mm * np.sqrt(exposures / procedure.exposures)
+        return uncertainty.joined(walked * along_ray_per_shift(model)[None])
+
+    def true_pose() -> np.ndarray:
+        return world_from_twin @ moved_by(measuring, serial, only_densest=True) @ bench.twin_from_part()
+
+    bench.place(Placement("plane"))
+    planes, lie = [], []
+    for position in (PLANE_MM, -STEP_MM / 2, STEP_MM / 2):
+        bench.position = position
+        points = seen(_grid(rig_file.camera.shape, ACROSS), lambda xy: np.zeros(len(xy)), measuring.flat_nodes)
+        planes.append(_over_board(points, board.size_mm / 2))
+        lie.append(plane_height(true_pose()))
+        serial += frames
+    walk = known.path_drift_mm * np.sqrt(frames / procedure.exposures) * along_ray_per_shift(model)[2]
+
+    bench.position = 0.0
+    bench.place(Placement("sphere"))
+    assert bench.mounted is not None
+    as_built = bench.mounted.specimen.as_built
+    centre, radius = as_built["sphere_centres_mm"][0], float(as_built["sphere_diameters_mm"][0]) / 2
+    serial += EXPOSING
+
+    def cap(xy: np.ndarray) -> np.ndarray:
+        square = np.sum((xy - centre[:2]) ** 2, axis=1)
+        return centre[2] + np.sqrt(np.maximum(radius**2 - square, 0.1 * radius**2))
+
+    top = true_pose() @ [centre[0], centre[1], centre[2], 1.0]
+    relief_nodes = renderer_nodes(nodes_of_direct_light(settings.render.nodes), settings)
+    reach = CAP_SHARE * radius
+    around = top[:2] + reach * _disc(ON_CAP)
+    pixels = model.camera.project(
+        np.column_stack([around, top[2] + np.sqrt(radius**2 - np.sum((around - top[:2]) ** 2, 1))])
+    )
+    ball = seen(pixels, cap, relief_nodes)
+
+    bench.place(Placement("second-board", posture=POSTURE))
+    serial += frames + EXPOSING
+    spots, phases = see_spots(measuring, "second-board", serial, noise, rng)
+    xyz = points_of(model, spots.centres_px, phases.phase_rad)
+    sigma_px, sigma_rad = np.hypot(spots.sigma_px, bundle.noise[0]), np.hypot(phases.sigma_rad, bundle.noise[1])
+    own = noise_of_spots(model, np.nan_to_num(xyz), sigma_px, sigma_rad)
+    assert bench.mounted is not None
+    return Captures(
+        planes=(planes[0], planes[1], planes[2]),
+        heights=(lie[0], lie[1], lie[2]),
+        walk_mm=float(walk),
+        ball=ball,
+        diameter=2 * radius,
+        spots=Points(xyz, spots.centres_px, own, later(uncertainty, model, known, serial + frames)),
+        printed=bench.mounted.specimen.as_built["centres_mm"],
+        board=board,
+    )
+
+
+def along_ray_per_shift(model: InstrumentModel) -> np.ndarray:
+    """What a unit shift of the fringes across the specimen moves a point by, (3,), in the middle."""
+    at = np.zeros((1, 3))
+    _, pixel_by_point, _ = model.camera.linearise(at)
+    _, phase_by_point, _ = model.projector.linearise(at)
+    slopes = np.concatenate([pixel_by_point[0], phase_by_point])
+    return np.linalg.solve(slopes, [0.0, 0.0, float(np.hypot(*phase_by_point[0, :2]))])
+
+
+def _grid(shape: tuple[int, int], across: int) -> np.ndarray:
+    """Pixels (n, 2) on a square grid."""
+    rows, cols = shape
+    step = cols / across
+    v, u = np.meshgrid(np.arange(step / 2, rows, step), np.arange(step / 2, cols, step), indexing="ij")
+    return np.stack([u.ravel(), v.ravel()], axis=-1)
+
+
+def _disc(across: int) -> np.ndarray:
+    """Points (n, 2) of a square grid within the unit disc."""
+    ticks = (np.arange(across) + 0.5) / across * 2 - 1
+    x, y = np.meshgrid(ticks, ticks)
+    inside = np.hypot(x, y) < 1
+    return np.stack([x[inside], y[inside]], axis=-1)
+
+
+def _over_board(points: Points, half_mm: float) -> Points:
+    """Where the calibration's planes were seen."""
+    inside = np.abs(points.xyz[:, 0]) < half_mm
+    return replace(points, xyz=points.xyz[inside], pixels=points.pixels[inside], noise=points.noise[inside])

@@ -23,7 +23,15 @@ from greenough.instrument.contract import (
 )
 from greenough.instrument.errors import InputError
 from greenough.pipeline import acquisition
-from greenough.pipeline.acquisition import calibrate, calibrate_by_methods, measure, plane_heights
+from greenough.pipeline.acquisition import (
+    METHODS,
+    CalibrationMethod,
+    calibrate,
+    calibrate_by_methods,
+    calibration_steps,
+    measure,
+    plane_heights,
+)
 from greenough.pipeline.calibration import Calibration
 from greenough.pipeline.unfinished import Unfinished
 
@@ -74,8 +82,9 @@ class PlainRig:
         self.stage = SimpleNamespace(limits_mm=(-limit, limit), position_mm=0.0, move_to_mm=self._move)
         self.operator = SimpleNamespace(place=self._place)
         self.placed: list[Placement] = []
+        self.moves: list[float] = []
         self._run, self._serial, self._seed, self._dies_at, self._hidden = run, exposures_done, seed, dies_at, hidden
-        self._sequences, self._true_height = 0, stage_error
+        self.sequences, self._true_height = 0, stage_error
 
     def __enter__(self):
         return self
@@ -84,6 +93,7 @@ class PlainRig:
         return None
 
     def _move(self, position):
+        self.moves.append(position)
         self.stage.position_mm = position
 
     def _place(self, placement):
@@ -91,8 +101,8 @@ class PlainRig:
 
     def capture(self, patterns):
         if len(patterns) > 1:
-            self._sequences += 1
-            if self._sequences == self._dies_at:
+            self.sequences += 1
+            if self.sequences == self._dies_at:
                 raise Killed
         serials = self._serial + np.arange(len(patterns))
         self._serial += len(patterns)
@@ -194,13 +204,11 @@ def assert_same(one: Calibration, other: Calibration):
 
 
 @pytest.fixture(scope="module")
-def both(tmp_path_factory):
-    """Calibrations by both methods from one acquisition on a bad stage, and the rig."""
-    folder = tmp_path_factory.mktemp("both")
+def all_methods(tmp_path_factory):
+    """Calibrations by all methods from one acquisition on a bad stage, and the rig."""
+    folder = tmp_path_factory.mktemp("all")
     with PlainRig(stage_error=bad_stage) as rig:
-        return calibrate_by_methods(
-            rig, {method: folder / f"{method}.h5" for method in ("bundle", "paper")}, "run"
-        ), rig
+        return calibrate_by_methods(rig, {method: folder / f"{method}.h5" for method in METHODS}, "run"), rig
 
 
 def bad_stage(reading):
@@ -208,30 +216,91 @@ def bad_stage(reading):
     return 1.005 * reading + 0.01 * np.sin(17 * reading)
 
 
-def test_both_methods_come_from_one_acquisition(both):
-    calibrations, rig = both
+def test_all_methods_come_from_one_acquisition(all_methods):
+    calibrations, rig = all_methods
     assert len(rig.placed) == PROCEDURE.postures + 1
-    assert {method: calibration.method for method, calibration in calibrations.items()} == {
-        "bundle": "bundle",
-        "paper": "paper",
-    }
-    assert calibrations["paper"].exposures == calibrations["bundle"].exposures
-    assert np.array_equal(
-        calibrations["paper"].residuals.centres_px, calibrations["bundle"].residuals.centres_px, equal_nan=True
-    )
+    assert {method: calibration.method for method, calibration in calibrations.items()} == {m: m for m in METHODS}
+    for calibration in calibrations.values():
+        assert np.array_equal(
+            calibration.residuals.centres_px, calibrations["paper"].residuals.centres_px, equal_nan=True
+        )
 
 
-def test_the_bundle_does_not_believe_the_stage(both):
-    """A step between two true heights: the paper's method repeats the stage's scale, the bundle has the board's."""
+def test_only_the_papers_method_believes_the_stage(all_methods):
+    """A step between two true heights: the paper's method repeats the stage's scale, the others have the board's."""
     steps = {}
-    for method, calibration in both[0].items():
+    for method, calibration in all_methods[0].items():
         heights = []
-        for reading in (-1.0, 1.0):
+        for reading in (-0.6, 0.6):
             with PlainRig(run=f"step {reading}", stage_error=lambda _, height=reading: height) as rig:
-                heights.append(np.nanmedian(measure(rig, calibration, Placement("plane")).xyz[120:240, 180:300, 2]))
+                heights.append(np.nanmedian(measure(rig, calibration, Placement("plane")).xyz[140:220, 200:280, 2]))
         steps[method] = heights[1] - heights[0]
-    assert abs(steps["paper"] - 2.0) > 5e-3
-    assert abs(steps["bundle"] - 2.0) < 1e-3
+    assert abs(steps.pop("paper") - 1.2) > 3e-3
+    assert steps.keys() == {"bundle", "stage-free", "triangulation"}
+    assert max(abs(step - 1.2) for step in steps.values()) < 1e-3
+
+
+@pytest.fixture(scope="module")
+def stage_free(tmp_path_factory):
+    """Calibrated without planes on a stage too short for them, and the rig."""
+    out = tmp_path_factory.mktemp("stage-free") / "cal.h5"
+    steps: list[float] = []
+    with PlainRig(limit=0.1) as rig:
+        calibration = calibrate(rig, out, "run", steps.append, "stage-free")
+    assert sum(steps) == calibration_steps(PROCEDURE, ["stage-free"]) == PROCEDURE.postures
+    return calibration, rig
+
+
+def test_without_planes_nothing_is_turned_over_moved_or_captured(stage_free):
+    calibration, rig = stage_free
+    assert len(rig.placed) == PROCEDURE.postures
+    assert all(placement.face == "printed" for placement in rig.placed)
+    assert set(rig.moves) == {0.0}
+    assert rig.sequences == PROCEDURE.postures
+    assert calibration.residuals.planes_um.shape[0] == 0
+    assert np.isnan(calibration.residuals.pixels_um).all()
+
+
+def test_planes_for_other_methods_change_nothing_for_those_without(stage_free, all_methods):
+    assert_same(stage_free[0], all_methods[0]["stage-free"])
+
+
+def test_a_calibration_without_planes_is_valid_where_postures_were_seen(stage_free):
+    """Everywhere that spots with a phase were seen, at the heights that they had."""
+    calibration = stage_free[0]
+    relation, seen = calibration.phase_height, np.isfinite(calibration.residuals.spot_phases_rad)
+    u, v = np.rint(calibration.residuals.centres_px[seen]).astype(int).T
+    assert relation.valid[v, u].all()
+    assert relation.valid.mean() < 0.6
+    low, high = calibration.figures["z_low_mm"], calibration.figures["z_high_mm"]
+    reach = BOARD.pitch_mm / 2
+    assert np.nanmin(relation.z_range) == pytest.approx(low - reach, abs=0.01)
+    assert np.nanmax(relation.z_range) == pytest.approx(high + reach, abs=0.01)
+
+
+def test_a_killed_calibration_without_planes_goes_on_to_the_same_result(stage_free, tmp_path):
+    out = tmp_path / "cal.h5"
+    with pytest.raises(Killed), PlainRig(limit=0.1, dies_at=6) as rig:
+        calibrate(rig, out, run="run", method="stage-free")
+    steps: list[float] = []
+    with PlainRig(limit=0.1, exposures_done=Unfinished.beside(out).exposures) as rig:
+        assert_same(calibrate(rig, out, "run", steps.append, "stage-free"), stage_free[0])
+    assert sum(steps) == PROCEDURE.postures
+    assert rig.sequences == PROCEDURE.postures - 5
+
+
+def test_postures_that_a_method_refuses_are_shown_again(tmp_path, monkeypatch):
+    def refuse(data):
+        raise InputError("these postures say nothing.")
+
+    out = tmp_path / "cal.h5"
+    with monkeypatch.context() as patched, PlainRig() as rig:
+        patched.setitem(METHODS, "triangulation", CalibrationMethod(refuse, False, True))
+        with pytest.raises(InputError, match="say nothing"):
+            calibrate(rig, out, run="run", method="triangulation")
+    assert list(Unfinished.beside(out).folder.glob("*.h5")) == []
+    with PlainRig(exposures_done=Unfinished.beside(out).exposures) as rig:
+        assert calibrate(rig, out, run="run", method="triangulation").method == "triangulation"
 
 
 def test_the_board_is_shown_as_the_paper_shows_it(undisturbed):

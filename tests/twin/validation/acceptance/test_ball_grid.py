@@ -40,10 +40,11 @@ def test_an_array_that_is_measured_as_it_is_holds(array):
     assert "1 are low" in found["bga_low"].criterion
 
 
-def test_a_ball_that_is_not_seen_where_one_is_fails(array):
-    found = array(gone=[(5, 5)])
-    assert found["bga_missing"].value == 1
-    assert found["bga_missing"].holds is False
+def test_a_ball_that_is_not_seen_and_a_low_one_that_seems_as_high_as_the_others_are_called_wrongly(array):
+    found = array(gone=[(5, 5)], higher={(4, 6): 0.08})
+    for name in ("bga_missing", "bga_low"):
+        assert found[name].value == 1
+        assert found[name].holds is False
 
 
 def test_a_ball_that_is_measured_too_high_changes_the_coplanarity_and_the_apexes(array):
@@ -51,9 +52,3 @@ def test_a_ball_that_is_measured_too_high_changes_the_coplanarity_and_the_apexes
     assert abs(found["bga_regression_coplanarity"].value) > 4
     assert found["bga_regression_coplanarity"].holds is False
     assert found["bga_apex_height_mean"].value == pytest.approx(100 / 62, abs=0.3)
-
-
-def test_the_low_ball_that_is_measured_as_high_as_the_others_is_called_wrongly(array):
-    found = array(higher={(4, 6): 0.08})
-    assert found["bga_low"].value == 1
-    assert found["bga_low"].holds is False

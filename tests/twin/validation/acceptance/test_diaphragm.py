@@ -51,9 +51,6 @@ def test_a_film_that_seems_raised_too_far_fails_by_stroke_volume_and_profile(sta
     assert found["diaphragm_stroke_concave_equilibrated"].holds
 
 
-def test_a_shift_of_the_whole_is_no_stroke_but_an_error_of_the_profiles(states):
-    """Strokes are over the flange; profiles are in the calibrated frame."""
+def test_a_shift_of_the_whole_is_no_error_of_the_shape(states):
     found = states(everywhere=8e-3)
-    assert found["diaphragm_stroke_concave_raised"].holds
-    assert found["diaphragm_volume_concave_raised"].holds
-    assert found["diaphragm_profile_column_concave"].holds is False
+    assert all(row.holds for row in found.values())

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from greenough.instrument.errors import InputError
 from greenough.scenes.chirp import chirp, period, relief
 from greenough.twin.validation.acceptance import resolution
 from greenough.twin.validation.acceptance.relief_transfer import relief_transfer
@@ -20,7 +21,7 @@ def along_y(setup, measured, grid, by_name):
     """
 
     def made(wider: float, seed: int = 0):
-        x, y = grid(6.0, 1.4, PIXEL_MM)
+        x, y = grid(6.0, 0.8, PIXEL_MM)
         z, _ = relief(x)
         true = np.stack([x, y, z], axis=-1)
         absolute = np.broadcast_to(2 * np.pi / 21.6 * np.arange(x.shape[1]), x.shape)
@@ -50,8 +51,6 @@ def test_a_wider_blur_is_found_and_fails(along_y):
 
 
 def test_without_a_point_spread_there_is_no_prediction(setup, along_y):
-    from greenough.instrument.errors import InputError
-
     setup.calibration.point_spread = None
     with pytest.raises(InputError, match="no point spread"):
         along_y(1.0)

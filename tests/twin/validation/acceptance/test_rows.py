@@ -36,7 +36,7 @@ def test_a_row_is_plain_json_and_an_unknown_uncertainty_is_none(setup):
 
 @pytest.mark.parametrize("n", [100, 1000, 20_000])
 def test_the_limit_of_a_range_is_what_so_many_normal_deviates_span(n):
-    """The mean of 400 ranges, each of a standard deviation below half of the deviates': within 4.5 of its own (1e-5)."""
+    """The mean of 400 ranges lies within 4.5 of its standard deviations: by chance once in 1e5."""
     sd = CLAIM_UM / norm.ppf(0.975)
     draws = sd * np.random.default_rng(1).standard_normal((400, n))
     spans = np.ptp(draws, axis=1)

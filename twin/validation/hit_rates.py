@@ -1,120 +1,108 @@
-"""How many of many intervals must hold the truth, and whether two sets of errors are draws of one distribution.
+"""How often intervals may miss before it means something, and whether two ways of drawing instruments agree.
 
-All limits are for several measurands at once: a program that states what it should fails any of them with no more than
-``FALSE_ALARM``, shared out evenly among them (Bonferroni), whatever their errors have in common.
+A correct program's 95 % intervals hit with a chance of 95 % each, so that the hits among n draws are binomial. The
+acceptance intervals below leave a false alarm of 1 % for all measurands together: Bonferroni's inequality, which holds
+however much these depend on each other, gives each an equal share, half of it to either side.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
-from scipy.stats import binom, ks_2samp
+from scipy.stats import binom, ks_2samp, norm
 
-FALSE_ALARM = 0.01
-"""Of all measurands together."""
+FAMILY_FALSE_ALARM = 0.01
+LEVEL = 0.95
+_HALF_WIDTH = float(norm.ppf((1 + LEVEL) / 2))  # of an interval, in standard deviations
 
 
 @dataclass(frozen=True)
 class HitRate:
-    """How often intervals held the truth.
+    """Hits of one measurand's intervals.
 
     Parameters
     ----------
     measurand : str
-    hits, n : int
-    low, high : int
-        Hits that a correct program leaves, both included.
+    n : int
+        Draws.
+    rate : float
+        Share of them in which the interval held the truth.
+    low, high : float
+        Rates between which a correct program stays.
+    false_alarm : float
+        Chance that a correct program does not, exactly, for this measurand alone.
+    sd_ratio : float
+        Root mean square of the errors over their stated uncertainties: 1 if these are true.
     """
 
     measurand: str
-    hits: int
     n: int
-    low: int
-    high: int
-
-    @property
-    def rate(self) -> float:
-        return self.hits / self.n
+    rate: float
+    low: float
+    high: float
+    false_alarm: float
+    sd_ratio: float
 
     @property
     def holds(self) -> bool:
-        """Whether the hits are what the stated probability leaves."""
-        return self.low <= self.hits <= self.high
-
-    def __str__(self) -> str:
-        verdict = "as stated" if self.holds else "NOT as stated"
-        return f"{self.measurand}: {self.hits} of {self.n} hit, {self.low} to {self.high} expected: {verdict}"
-
-
-def hit_rates(hits: Mapping[str, Sequence[bool]], confidence: float = 0.95) -> list[HitRate]:
-    """Each measurand's hits beside what independent intervals of this ``confidence`` leave.
-
-    The limits cut at most half of the measurand's share of ``FALSE_ALARM`` from either side of the binomial
-    distribution.
-    """
-    share = FALSE_ALARM / max(len(hits), 1)
-    return [
-        HitRate(name, int(np.sum(each)), len(each), *expected_hits(len(each), confidence, share))
-        for name, each in hits.items()
-    ]
-
-
-@lru_cache(maxsize=64)
-def expected_hits(n: int, confidence: float, false_alarm: float) -> tuple[int, int]:
-    """The lowest and the highest number of hits, both included, of ``n`` that each hit with probability ``confidence``.
-
-    Fewer come with a probability of at most half of ``false_alarm``, and so do more. Where n is small there may be no
-    number of hits that is too many.
-    """
-    half = false_alarm / 2
-    # ppf(q) is the least k with P(X <= k) >= q: below it lies less than q.
-    low = int(binom.ppf(half, n, confidence)) if n else 0
-    high = int(binom.isf(half, n, confidence)) if n else 0
-    return low, high
+        """Whether the rate is one of a correct program."""
+        return bool(self.low <= self.rate <= self.high)
 
 
 @dataclass(frozen=True)
-class SameDistribution:
-    """Whether two samples of a measurand's errors, in stated standard uncertainties, differ.
+class Agreement:
+    """Two samples of one measurand's normalised errors, compared by Kolmogorov and Smirnov.
 
     Parameters
     ----------
     measurand : str
-    n : (int, int)
-    statistic : float
-        Largest difference of the two empirical distributions.
+    n : tuple of 2 ints
+    distance : float
+        Largest distance of the two empirical distribution functions.
     p_value : float
-        Probability of at least as much if they are draws of one distribution.
+        Exact chance of a larger one, if both are samples of one distribution.
     limit : float
-        Below it, they differ.
+        The p-value below which they count as different.
     """
 
     measurand: str
     n: tuple[int, int]
-    statistic: float
+    distance: float
     p_value: float
     limit: float
 
     @property
     def holds(self) -> bool:
-        """Whether they may be draws of one distribution."""
-        return self.p_value >= self.limit
-
-    def __str__(self) -> str:
-        verdict = "one distribution" if self.holds else "TWO distributions"
-        sizes = f"{self.n[0]} and {self.n[1]}"
-        return f"{self.measurand}: D = {self.statistic:.2f}, p = {self.p_value:.3g} of {sizes}: {verdict}"
+        """Whether nothing speaks against one distribution."""
+        return bool(self.p_value >= self.limit)
 
 
-def same_distribution(first: Mapping[str, np.ndarray], second: Mapping[str, np.ndarray]) -> list[SameDistribution]:
-    """Kolmogorov's and Smirnov's exact test of two samples for each measurand that both have."""
-    names = [name for name in first if name in second]
-    results = []
-    for name in names:
-        test = ks_2samp(first[name], second[name], method="exact")
-        n = len(first[name]), len(second[name])
-        results.append(
-            SameDistribution(name, n, float(test.statistic), float(test.pvalue), FALSE_ALARM / len(names))  # pyright: ignore[reportAttributeAccessIssue]
-        )
-    return results
+def hit_rates(normalised: Mapping[str, Sequence[float]]) -> list[HitRate]:
+    """Of each measurand, from its errors over their combined standard uncertainties, |e| <= 1.96 being a hit."""
+    share = FAMILY_FALSE_ALARM / len(normalised)
+    return [_hit_rate(name, np.asarray(errors, dtype=float), share) for name, errors in normalised.items()]
+
+
+def _hit_rate(measurand: str, normalised: np.ndarray, false_alarm: float) -> HitRate:
+    n = len(normalised)
+    low, high = acceptable_hits(n, false_alarm)
+    hits = int(np.sum(np.abs(normalised) <= _HALF_WIDTH))
+    outside = binom.cdf(low - 1, n, LEVEL) + binom.sf(high, n, LEVEL)
+    ratio = float(np.sqrt(np.mean(normalised**2)))
+    return HitRate(measurand, n, hits / n, low / n, high / n, float(outside), ratio)
+
+
+def acceptable_hits(n: int, false_alarm: float) -> tuple[int, int]:
+    """Fewest and most hits among ``n`` of which neither fewer nor more have a chance above half of ``false_alarm``."""
+    return int(binom.ppf(false_alarm / 2, n, LEVEL)), int(binom.isf(false_alarm / 2, n, LEVEL))
+
+
+def agreements(first: Mapping[str, Sequence[float]], second: Mapping[str, Sequence[float]]) -> list[Agreement]:
+    """Of each measurand, whether both samples of normalised errors may be of one distribution."""
+    limit = FAMILY_FALSE_ALARM / len(first)
+    result = []
+    for name in first:
+        found = ks_2samp(first[name], second[name], method="exact")
+        sizes = len(first[name]), len(second[name])
+        result.append(Agreement(name, sizes, float(found.statistic), float(found.pvalue), limit))
+    return result

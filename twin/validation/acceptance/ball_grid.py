@@ -32,6 +32,9 @@ DRAWING = BallGridDrawing.rectangular(
 GAUGE_SHARE = 0.1
 """Of a drawing's tolerance an inspection may err by: the rule of ten."""
 
+LEAST_CAP_DEG = 45.0
+"""Diameters from smaller caps are reported and not judged: their error by slopes exceeds that by noise many times."""
+
 
 def ball_grid_rows(setup: Setup, advance: Callable[[float], None]) -> Iterator[Row]:
     """Lay the defective array under the lenses and judge what an inspection says of it."""
@@ -61,25 +64,41 @@ def rows_of_array(setup: Setup, array: Artefact) -> Iterator[Row]:
             limit=CLAIM_UM, filter=treated.filter, alignment="package's own planes",
         )  # fmt: skip
 
-    cap = np.nanmedian(found.cap_half_angle_deg[there])
-    for name, errors, sd, tolerance, what in (
-        ("apex_height", found.height - heights, found.height_sd, NOMINAL.height_tolerance,
-         "apex heights over the substrate"),
-        ("diameter", found.diameter - diameters, found.diameter_sd, NOMINAL.diameter_tolerance,
-         f"diameters of Gauss spheres over caps of {cap:.0f} degrees in the median"),
-    ):  # fmt: skip
-        counts = there & np.isfinite(errors)
-        error, n = 1e3 * errors[counts], int(counts.sum())
-        mean = float(error.mean()) if n else np.nan
-        p95 = float(np.quantile(np.abs(error), 0.95)) if n else np.nan
-        u = 1e3 * float(np.sqrt(np.sum(sd[counts] ** 2)) / n) if n else None
-        limit_um = 1e3 * GAUGE_SHARE * tolerance
-        origin = f"limit: a tenth of the drawing's tolerance of {1e3 * tolerance:g} um"
-        for suffix, value, of in (("mean", mean, "mean error"), ("95", p95, "95 % of the errors' magnitudes")):
-            yield row(
-                setup, f"bga_{name}_{suffix}", value, "um", n, f"{of} of {what}; {origin}", limit=limit_um,
-                u=u if suffix == "mean" else None, filter=treated.filter, alignment="package's own substrate",
-            )  # fmt: skip
+    yield from _lengths(
+        setup, "apex_height", found.height - heights, found.height_sd, "apex heights over the substrate",
+        NOMINAL.height_tolerance, treated.filter,
+    )  # fmt: skip
+    caps = found.cap_half_angle_deg[there & np.isfinite(found.diameter)]
+    cap = float(np.median(caps)) if len(caps) else np.nan
+    yield from _lengths(
+        setup, "diameter", found.diameter - diameters, found.diameter_sd,
+        f"diameters of Gauss spheres over caps of {cap:.0f} degrees in the median",
+        None if cap < LEAST_CAP_DEG else NOMINAL.diameter_tolerance, treated.filter,
+    )  # fmt: skip
+
+
+def _lengths(
+    setup: Setup, name: str, errors: np.ndarray, sd: np.ndarray, what: str, tolerance: float | None, filter: str
+) -> Iterator[Row]:
+    """Mean and 95 % of the balls' ``errors`` (balls,) mm, NaN of none; without a ``tolerance`` they only report."""
+    counts = np.isfinite(errors)
+    error, n = 1e3 * errors[counts], int(counts.sum())
+    limit, origin = None, f"not judged: caps under {LEAST_CAP_DEG:g} degrees do not determine it"
+    if tolerance is not None:
+        limit, origin = (
+            1e3 * GAUGE_SHARE * tolerance,
+            f"limit: a tenth of the drawing's tolerance of {1e3 * tolerance:g} um",
+        )
+    mean, p95 = (float(error.mean()), float(np.quantile(np.abs(error), 0.95))) if n else (np.nan, np.nan)
+    u = 1e3 * float(np.sqrt(np.sum(sd[counts] ** 2)) / n) if n else None
+    for suffix, value, of, of_u in (
+        ("mean", mean, "mean error", u),
+        ("95", p95, "95 % of the errors' magnitudes", None),
+    ):
+        yield row(
+            setup, f"bga_{name}_{suffix}", value, "um", n, f"{of} of {what}; {origin}", limit=limit, u=of_u,
+            filter=filter, alignment="package's own substrate",
+        )  # fmt: skip
 
 
 def _flags(setup: Setup, found: BallGridMeasurement, heights: np.ndarray, filter: str) -> Iterator[Row]:

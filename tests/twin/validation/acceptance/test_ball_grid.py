@@ -52,3 +52,12 @@ def test_a_ball_that_is_measured_too_high_changes_the_coplanarity_and_the_apexes
     assert abs(found["bga_regression_coplanarity"].value) > 4
     assert found["bga_regression_coplanarity"].holds is False
     assert found["bga_apex_height_mean"].value == pytest.approx(100 / 62, abs=0.3)
+
+
+def test_diameters_are_judged_by_caps_of_45_degrees_and_smaller_ones_only_report(array, monkeypatch):
+    assert array()["bga_diameter_mean"].limit == pytest.approx(5.0)
+    monkeypatch.setattr(ball_grid, "LEAST_CAP_DEG", 80.0)  # more than is looked at
+    found = array()
+    assert found["bga_diameter_mean"].holds is None
+    assert "do not determine" in found["bga_diameter_mean"].criterion
+    assert found["bga_apex_height_mean"].holds

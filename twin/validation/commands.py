@@ -42,7 +42,8 @@ def demo(
 def study(
     study: Annotated[str, typer.Argument(metavar="STUDY", help="A built-in study, or a study file.")],
     out: Annotated[
-        Path | None, typer.Option("--out", metavar="FOLDER", help="Where results are kept; build/studies/NAME.")
+        Path | None,
+        typer.Option("--out", metavar="FOLDER", help="Where results go. [default: build/studies/STUDY]"),
     ] = None,
     scheduler: Annotated[
         str | None, typer.Option("--scheduler", metavar="ADDRESS", help="Run on the workers of a Dask scheduler.")
@@ -61,7 +62,7 @@ def study(
 
     chosen = load_study(study)
     runs = runs_of(chosen, settings or [])
-    folder = out or Path("build/studies") / chosen.name
+    folder = out or Path("build/studies") / Path(study).stem
     execute_all = on_cluster(scheduler) if scheduler else here
     with progress(len(missing(runs, folder)), chosen.name, quiet=as_json) as advance:
         summary = run_study(chosen, runs, folder, execute_all, advance)

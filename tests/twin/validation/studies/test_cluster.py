@@ -11,6 +11,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import cv2
+import dask
 import pytest
 from distributed import LocalCluster
 
@@ -30,7 +31,11 @@ THREADS = 3  # more than one, and not what a process takes by itself on the usua
 @pytest.fixture(scope="module")
 def cluster(laboratory) -> Iterator[LocalCluster]:
     """Two worker processes, started by nannies that start new ones in place of those that die."""
-    with LocalCluster(n_workers=WORKERS, threads_per_worker=THREADS, dashboard_address=None) as cluster:
+    patient = {"distributed.comm.timeouts.connect": "180s"}  # on a busy machine Python alone takes long to start
+    with (
+        dask.config.set(patient),
+        LocalCluster(n_workers=WORKERS, threads_per_worker=THREADS, dashboard_address=None) as cluster,
+    ):
         yield cluster
 
 

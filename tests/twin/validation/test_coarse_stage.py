@@ -5,6 +5,7 @@ import pytest
 
 from greenough.pipeline.acquisition import plane_heights
 from greenough.pipeline.calibration import Calibration
+from greenough.pipeline.calibration_uncertainty import CalibrationUncertainty
 from greenough.pipeline.camera_model import CameraModel
 from greenough.pipeline.phase_height import PhaseHeight
 from greenough.pipeline.rays import rays_of_camera
@@ -35,9 +36,11 @@ def paper() -> Calibration:
     frame = axis_frame(-np.radians(optics.convergence_deg) / 2, optics.pupil_distance_mm)
     pose = np.diag([-1.0, -1.0, 1.0, 1.0]) @ np.linalg.inv(bench.world_from_twin @ frame)  # columns right, rows down
     nothing = PhaseHeight(*(np.zeros(0) for _ in range(5)))
+    ends = (np.array([-1.5, 1.5]), np.array([0.0, rows - 1]), np.array([0.0, cols - 1]))
+    certain = CalibrationUncertainty(*ends, np.zeros((0, 2, 2, 2, 3), np.float32), np.zeros(2))
     return Calibration(
         "paper", camera, pose, rays_of_camera(camera, pose), nothing, rig.identity, rig.board, rig.procedure,
-        rig.uncertainty, "calibration", 0, {}, None, None,
+        rig.uncertainty, "calibration", 0, {}, None, certain,
     )  # fmt: skip
 
 

@@ -122,8 +122,8 @@ def calibrate_by_methods(
         If ``OUT.partial`` belongs to another rig, settings or run, the planes lie outside the stage's limits, the flat
         board or too many tilted ones were not found, the postures are all parallel, or a method lacks data.
     """
-    with_planes = [method for method in outs if METHODS[method].needs_planes]
-    without_planes = [method for method in outs if not METHODS[method].needs_planes]
+    with_planes: list[Method] = [method for method in outs if METHODS[method].needs_planes]
+    without_planes: list[Method] = [method for method in outs if not METHODS[method].needs_planes]
     heights = plane_heights(rig) if with_planes else np.empty(0)
     for out in outs.values():
         if Path(out).is_dir():

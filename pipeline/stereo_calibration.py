@@ -12,7 +12,6 @@ covariance that its own calibration left them: near its solution this is the adj
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from greenough.instrument.contract import SpotBoard
 
@@ -85,7 +84,7 @@ def calibrate_stereo(
     for _ in range(_ROUNDS):
         step = _step(pair, views, used, excess)
         pair = pair.moved(step.step)
-        views = _see(pair, spots, phases, board)
+        views = _see(pair.camera, pair.poses, pair.reference, spots, phases, board)
         residual = views.phase - pair.projector.phase(views.xyz.reshape(-1, 3)).reshape(used.shape)
         normalised = np.where(measured, np.abs(residual) / np.sqrt(views.variance + excess), np.inf)
         typical = max(np.median(normalised[measured]) / 0.6745, _LEAST_SD_RAD / np.sqrt(excess))
@@ -155,37 +154,44 @@ def _start(
     spots: tuple[Spots, ...], phases: tuple[SpotPhases, ...], start: CameraCalibration, board: SpotBoard
 ) -> tuple[_Pair, _Views]:
     """The camera as its own calibration left it, and the row that fits the phases without any distortion."""
-    root = covariance_root(start.covariance)
-    nothing = ProjectorModel(np.zeros(7), DepthField((0.0, 0.0), (1.0, 1.0), *_PROJECTOR_DEGREES, 1.0), np.zeros(16))
-    pair = _Pair(start.camera, start.camera_from_board, start.reference, nothing, root, np.zeros(len(root)))
-    views = _see(pair, spots, phases, board)
+    camera, poses = start.camera, start.camera_from_board
+    views = _see(camera, poses, start.reference, spots, phases, board)
     measured = np.isfinite(views.phase)
     xyz = views.xyz[measured]
     row = fit_row(xyz, views.phase[measured])
     field = DepthField.around(projector_picture(row, xyz), *_PROJECTOR_DEGREES, float(np.abs(xyz[:, 2]).max()))
-    return replace(pair, projector=ProjectorModel(row, field, np.zeros(len(field.orders)))), views
+    projector, root = ProjectorModel(row, field, np.zeros(len(field.orders))), covariance_root(start.covariance)
+    return _Pair(camera, poses, start.reference, projector, root, np.zeros(len(root))), views
 
 
-def _see(pair: _Pair, spots: tuple[Spots, ...], phases: tuple[SpotPhases, ...], board: SpotBoard) -> _Views:
+def _see(
+    camera: CameraModel,
+    poses: np.ndarray,
+    reference: int,
+    spots: tuple[Spots, ...],
+    phases: tuple[SpotPhases, ...],
+    board: SpotBoard,
+) -> _Views:
+    parameters = len(INTRINSICS) + 6 * len(poses)
     nominal = np.column_stack([board.centres(), np.zeros(board.rows * board.cols)])
-    camera_from_world = pair.poses[pair.reference]
+    camera_from_world = poses[reference]
     world_from_camera = camera_from_world[:3, :3].T
     one = np.broadcast_to(np.eye(3), (len(nominal), 3, 3))
     views = []
     for k, (found, measured) in enumerate(zip(spots, phases, strict=True)):
-        turned = nominal @ pair.poses[k, :3, :3].T
-        in_camera = turned + pair.poses[k, :3, 3]
+        turned = nominal @ poses[k, :3, :3].T
+        in_camera = turned + poses[k, :3, 3]
         from_world = in_camera - camera_from_world[:3, 3]
-        pixel, _, pixel_by_pose = _camera_path(pair.camera, pair.poses[k]).linearise(nominal)
-        pixel_by_camera = np.zeros((len(nominal), 2, len(pair.root)))
-        pixel_by_camera[..., : len(INTRINSICS)] = _by_intrinsics(pair.camera, in_camera)
+        pixel, _, pixel_by_pose = _camera_path(camera, poses[k]).linearise(nominal)
+        pixel_by_camera = np.zeros((len(nominal), 2, parameters))
+        pixel_by_camera[..., : len(INTRINSICS)] = _by_intrinsics(camera, in_camera)
         pixel_by_camera[..., _pose(k)] = pixel_by_pose[..., :6]
         # A step of the pose moves the spot in the camera's frame, one of the reference's moves the world beneath it.
         by_pose = np.concatenate([-cross_matrices(turned), one], axis=-1)
         by_reference = np.concatenate([cross_matrices(from_world), -one], axis=-1)
-        place_by_camera = np.zeros((len(nominal), 3, len(pair.root)))
+        place_by_camera = np.zeros((len(nominal), 3, parameters))
         place_by_camera[..., _pose(k)] = world_from_camera @ by_pose
-        place_by_camera[..., _pose(pair.reference)] += world_from_camera @ by_reference
+        place_by_camera[..., _pose(reference)] += world_from_camera @ by_reference
         views.append(
             (
                 from_world @ world_from_camera.T,
@@ -244,8 +250,9 @@ def _instrument(pair: _Pair, covariance: np.ndarray, xyz: np.ndarray) -> Instrum
     )
     _, _, terms = pair.projector.linearise(xyz)
     as_projector = np.linalg.lstsq(terms, _by_projector(pair, xyz), rcond=None)[0]
-    fields = block_diag(as_projector, as_camera @ pair.root)
-    fields = np.roll(fields, path.parameters, axis=0)  # the camera's come first
+    split, count = path.parameters, as_projector.shape[1]
+    fields = np.zeros((split + len(as_projector), len(covariance)))
+    fields[split:, :count], fields[:split, count:] = as_projector, as_camera @ pair.root
     return InstrumentModel(path, pair.projector, fields @ covariance @ fields.T)
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from greenough.instrument.errors import InputError
-from greenough.scenes.catalogue import NAMES, specimen
+from greenough.scenes.catalogue import FLAT, NAMES, specimen
 from greenough.scenes.mesh_file import HALF_VOLUME_MM
 
 
@@ -41,6 +41,12 @@ def test_facets_are_sound_and_shading_normals_follow_them(sample):
         np.testing.assert_allclose(np.linalg.norm(part.normals, axis=-1), 1)
         shading = part.normals[part.faces].mean(axis=1)
         assert np.sum(facet / length * shading, axis=-1).min() > 0.999
+
+
+def test_flat_samples_have_no_relief_by_which_they_could_light_themselves_and_the_others_have(sample):
+    name, found = sample
+    heights = np.concatenate([part.vertices[:, 2] for part in found.parts])
+    assert (np.ptp(heights) < 5e-3) == (name in FLAT)
 
 
 def test_an_unknown_sample_is_refused_with_the_names_there_are():

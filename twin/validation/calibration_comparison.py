@@ -8,7 +8,7 @@ where all of them measure; how much each measures is a figure of its own.
 
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +20,7 @@ from greenough.pipeline.decode import PhaseMap
 from greenough.pipeline.imaging_path import cross_matrices
 
 from ..rig import open as open_twin
+from .pitch import second_board_errors
 from .planes import blocks_of, half_measured, mean, percentile, plane_terms, rms, vertical_error
 from .setup import Setup
 
@@ -59,6 +60,9 @@ class CalibrationFigures:
         Fringe sequences, times that a person lays or turns the board, and moves of the stage for this method alone.
     rig_min : float
         Minutes at the rig, by the frames' exposure times and what is assumed of hands and stage.
+    pitch_mean_um, pitch_sd_um : float
+        Errors of the distances of neighbouring spots on the second board against its true ones: mean, and standard
+        deviation of single distances. NaN where it was not measured.
     """
 
     calibration: str
@@ -74,6 +78,8 @@ class CalibrationFigures:
     hand_actions: int
     stage_moves: int
     rig_min: float
+    pitch_mean_um: float = float("nan")
+    pitch_sd_um: float = float("nan")
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +114,7 @@ def compare_calibrations(
     run : str
         Whose noise and drifts the exposures have.
     advance : callable
-        Called with 1 after each posture, plane of the calibration, and plane that is measured.
+        Called with 1 after each posture, plane of the calibration, plane that is measured, and the second board.
 
     Raises
     ------
@@ -138,7 +144,16 @@ def compare_calibrations(
             setups[0].place(Placement("plane", pose_mm_deg=(0.0, 0.0, 0.0, *tilt, 0.0)))
             tilted.append(_seen(setups))
             advance(1)
-    return [figures_of(method, k, flat, tilted, rig.procedure, exposures_us) for k, method in enumerate(METHODS)]
+        pitches = second_board_errors(setups)
+        advance(1)
+    return [
+        replace(
+            figures_of(method, k, flat, tilted, rig.procedure, exposures_us),
+            pitch_mean_um=1e3 * mean(pitches[k]),
+            pitch_sd_um=1e3 * float(np.std(pitches[k])),
+        )
+        for k, method in enumerate(METHODS)
+    ]
 
 
 def comparison_figures(

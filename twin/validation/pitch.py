@@ -39,6 +39,25 @@ def pitch_claims(setups: Sequence[Setup]) -> Iterator[Claim]:
             yield from board_claims(setup, part, prefix, spot_points(phase_map, spots, setup.calibration), noise)
 
 
+def second_board_errors(setups: Sequence[Setup]) -> list[np.ndarray]:
+    """Errors (pairs,) mm of all neighbours' distances on the second board in a new posture, by every calibration.
+
+    Raises BoardNotFound, an InputError, where its spots are not found.
+    """
+    setups[0].place(Placement("second-board", posture=POSTURE))
+    phase_map = setups[0].capture()
+    spots = detect_spots(phase_map.background, setups[0].calibration.board)
+    printed, pairs = setups[0].bench.specimen.as_built["centres_mm"], all_pairs(setups[0].calibration.board)
+    found = (spot_points(phase_map, spots, setup.calibration) for setup in setups)
+    return [distance_errors(centres, printed, pairs) for centres in found]
+
+
+def distance_errors(measured: np.ndarray, printed: np.ndarray, pairs: np.ndarray) -> np.ndarray:
+    """How much too long the distances of ``pairs`` (pairs, 2) of points (n, 3) are, without those of unseen points."""
+    errors = _distances(measured, pairs) - _distances(printed, pairs)
+    return errors[np.isfinite(errors)]
+
+
 def board_claims(setup: Setup, part: str, prefix: str, centres: np.ndarray, noise: float) -> Iterator[Claim]:
     """Distances of neighbours on one board, whose spots were measured at ``centres`` (spots, 3) mm.
 

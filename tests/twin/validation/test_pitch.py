@@ -14,6 +14,7 @@ from greenough.twin.validation.pitch import (
     SECOND,
     all_pairs,
     board_claims,
+    distance_errors,
     distance_noise,
     paper_pairs,
 )
@@ -26,6 +27,16 @@ def test_pairs_are_neighbours_each_once(analytic):
         assert len({tuple(sorted(pair)) for pair in pairs.tolist()}) == len(pairs) == count
         distances = np.linalg.norm(centres[pairs[:, 0]] - centres[pairs[:, 1]], axis=1)
         np.testing.assert_allclose(distances, board.pitch_mm, rtol=1e-12)
+
+
+def test_distances_err_by_the_scale_and_unseen_spots_do_not_count(analytic):
+    board = analytic().calibration.board
+    printed, pairs = board.centres(), all_pairs(board)
+    measured = 1.001 * printed + [3.0, -2.0]
+    measured[0] = np.nan  # a corner, in two pairs
+    errors = distance_errors(measured, printed, pairs)
+    assert len(errors) == len(pairs) - 2
+    np.testing.assert_allclose(errors, 0.001 * board.pitch_mm, rtol=1e-9)
 
 
 def test_the_papers_pairs_lie_in_the_middle(analytic):

@@ -14,7 +14,7 @@ COARSE = (
 )  # fmt: skip
 
 COARSE_METAL = {"ball grid", "noise"}
-"""Groups with solder: over a pixel of 26 um its brightness changes too much."""
+"""Over a pixel of 26 um the brightness of solder changes too much, and metal's noise is known to 2 % only."""
 
 
 @pytest.fixture(scope="module")

@@ -1,7 +1,7 @@
 """Whether stated intervals hold the truth: four measurands of one drawn instrument that is calibrated anew.
 
 There are two levels. *Rendered* is the whole pipeline on frames. *Observations* is the bundle on what it would have
-been given, and points from the pixels and phases that the same lenses give, with noise drawn: it takes seconds.
+been given, and points from the pixels and phases that the same lenses give, with noise drawn, see `observed_captures`.
 """
 
 from collections.abc import Callable, Sequence
@@ -30,7 +30,6 @@ from .setup import Setup
 from .step import STEP_MM
 
 Level = Literal["rendered", "observations"]
-LEVELS: tuple[Level, ...] = ("rendered", "observations")
 MEASURANDS = ("plane height", "step", "sphere diameter", "pitch")
 CONFIDENCE = 0.95
 
@@ -42,6 +41,7 @@ CAP_SHARE = 0.6
 
 ACROSS = 48  # points across the picture that stand for a plane
 ON_CAP = 40  # points across a ball's cap
+_NEWTON_STEPS = 6  # the last is far below a nanometre
 
 Figures = dict[str, float | str]
 
@@ -101,10 +101,8 @@ class Captures:
     board: SpotBoard
 
 
-def coverage(
-    rig_name: str, overrides: Sequence[str], run: str, advance: Callable[[float], None], level: Level = "rendered"
-) -> list[Figures]:
-    """Errors and stated uncertainties of the measurands on one drawn instrument.
+def coverage(rig_name: str, overrides: Sequence[str], run: str, advance: Callable[[float], None]) -> list[Figures]:
+    """Errors and stated uncertainties of the measurands on one drawn instrument, rendered; see `figures`.
 
     Parameters
     ----------
@@ -112,26 +110,21 @@ def coverage(
         As ``greenough.twin.open`` takes them; what is measured is of a run of its own.
     advance : callable
         Called with 1 after each step of the calibration.
-    level : "rendered" or "observations"
-
-    Returns
-    -------
-    list of dict, one per measurand
-        ``measurand`` and ``level``; ``error_um``, ``u_noise_um``, ``u_calibration_um`` and ``u_um``, the combined
-        standard uncertainty; ``hit``, 1 if the stated 95 % interval holds the truth, else 0.
 
     Raises
     ------
     InputError
         As ``calibrate`` does.
     """
-    if level == "rendered":
-        captures = rendered_captures(rig_name, overrides, run, advance)
-    else:
-        from .observed_captures import observed_captures
+    return figures(rendered_captures(rig_name, overrides, run, advance), "rendered", run)
 
-        captures = observed_captures(rig_name, overrides, run)
-        advance(1)
+
+def figures(captures: Captures, level: Level, run: str) -> list[Figures]:
+    """What was measured beside the truth, a line for each measurand.
+
+    Each has ``measurand`` and ``level``; ``error_um``, ``u_noise_um``, ``u_calibration_um`` and ``u_um``, the combined
+    standard uncertainty; ``hit``, 1 if the stated 95 % interval holds the truth, else 0.
+    """
     return [
         {
             "measurand": name,
@@ -144,13 +137,6 @@ def coverage(
         }
         for name, (estimate, true) in zip(MEASURANDS, measured(captures, run_rng(0, run, "coverage")), strict=True)
     ]
-
-
-def observed_coverage(
-    rig_name: str, overrides: Sequence[str], run: str, advance: Callable[[float], None]
-) -> list[Figures]:
-    """As `coverage`, on the level of observations: a study's experiment has no further arguments."""
-    return coverage(rig_name, overrides, run, advance, "observations")
 
 
 def holds(estimate: Estimate, true: float) -> bool:
@@ -230,7 +216,7 @@ def rendered_captures(rig_name: str, overrides: Sequence[str], run: str, advance
             planes.append(_sampled(setup.points(phase_map), rig.camera.shape[1] / ACROSS))
             heights.append(plane_height(bench.world_from_part))
             taken.append(phase_map.exposures)
-        walk = calibration.uncertainty_after(taken[2] - taken[1]).modes_mm[-1, 0, 0, 0, 2]
+        walk = float(calibration.path_drift(taken[2] - taken[1])[2])
 
         setup.place(Placement("sphere"))
         points = setup.points(setup.capture())
@@ -245,8 +231,8 @@ def rendered_captures(rig_name: str, overrides: Sequence[str], run: str, advance
         setup.place(Placement("second-board", posture=POSTURE))
         spots = _measured_spots(setup)
         printed = bench.specimen.as_built["centres_mm"]
-    plane, lower, upper = planes
-    return Captures((plane, lower, upper), tuple(heights), float(walk), ball, diameter, spots, printed, rig.board)
+    (plane, lower, upper), (height, low, high) = planes, heights
+    return Captures((plane, lower, upper), (height, low, high), walk, ball, diameter, spots, printed, rig.board)
 
 
 def plane_height(world_from_plane: np.ndarray) -> float:
@@ -297,6 +283,3 @@ def points_of(instrument: InstrumentModel, pixels: np.ndarray, phase: np.ndarray
         at = at + np.linalg.solve(slopes, missed[..., None])[..., 0]
     xyz[known] = at
     return xyz
-
-
-_NEWTON_STEPS = 6  # the last is far below a nanometre

@@ -1,11 +1,11 @@
 """What `greenough.twin.validation.coverage` judges, without rendering: a bundle of observations and points by it."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from greenough.instrument.contract import KnownUncertainty, Placement
+from greenough.instrument.contract import Placement
 from greenough.instrument.rigfile import load_rig_file
 from greenough.pipeline.bundle import solve_bundle
 from greenough.pipeline.calibration_uncertainty import CalibrationUncertainty, uncertainty_of_model
@@ -15,11 +15,24 @@ from ..instability import Instability
 from ..quadrature import nodes_of_direct_light
 from ..randomness import run_rng
 from ..settings import twin_settings
-from .coverage import ACROSS, CAP_SHARE, ON_CAP, PLANE_MM, Captures, Points, noise_of_spots, plane_height, points_of
+from .coverage import (
+    ACROSS,
+    CAP_SHARE,
+    ON_CAP,
+    PLANE_MM,
+    Captures,
+    Figures,
+    Points,
+    figures,
+    noise_of_spots,
+    plane_height,
+    points_of,
+)
 from .light_paths import Nodes, renderer_nodes
 from .observations import (
     EXPOSING,
     Noise,
+    Relief,
     Surface,
     build,
     moved_by,
@@ -30,6 +43,15 @@ from .observations import (
 )
 from .pitch import POSTURE
 from .step import STEP_MM
+
+
+def observed_coverage(
+    rig_name: str, overrides: Sequence[str], run: str, advance: Callable[[float], None]
+) -> list[Figures]:
+    """As `coverage.coverage`, on the level of observations; ``advance`` is called with 1 at the end."""
+    result = figures(observed_captures(rig_name, overrides, run), "observations", run)
+    advance(1)
+    return result
 
 
 def observed_captures(rig_name: str, overrides: Sequence[str], run: str, noise: Noise | None = None) -> Captures:
@@ -56,7 +78,12 @@ def observed_captures(rig_name: str, overrides: Sequence[str], run: str, noise: 
     frames = sum(procedure.steps)
     serial = EXPOSING
 
-    def seen(pixels: np.ndarray, relief, nodes: Nodes) -> Points:
+    def stated() -> CalibrationUncertainty:
+        """With the drift of the paths until the present capture is done."""
+        walked = known.path_drift_mm * np.sqrt((serial + frames) / procedure.exposures)
+        return uncertainty.joined(walked * along_ray_per_shift(model)[None])
+
+    def seen(pixels: np.ndarray, relief: Relief, nodes: Nodes) -> Points:
         """Points of single pixels of what is mounted."""
         surface = Surface(
             moved_by(measuring, serial, only_densest=True) @ bench.twin_from_part(),
@@ -69,15 +96,7 @@ def observed_captures(rig_name: str, overrides: Sequence[str], run: str, noise: 
         sigma = np.full(len(pixels), noise.pixel_phase_rad)
         own = noise_of_spots(model, np.nan_to_num(xyz), np.zeros(len(pixels)), sigma)[..., 2:]
         within = np.abs(xyz[:, 2]) < STEP_MM  # far beyond are no points
-        return Points(
-            np.where(within[:, None], xyz, np.nan), pixels, own, later(uncertainty, model, known, serial + frames)
-        ).seen
-
-    def later(
-        uncertainty: CalibrationUncertainty, model: InstrumentModel, known: KnownUncertainty, exposures: int
-    ) -> CalibrationUncertainty:
-        walked = known.path_drift_mm * np.sqrt(exposures / procedure.exposures)
-        return uncertainty.joined(walked * along_ray_per_shift(model)[None])
+        return Points(np.where(within[:, None], xyz, np.nan), pixels, own, stated()).seen
 
     def true_pose() -> np.ndarray:
         return world_from_twin @ moved_by(measuring, serial, only_densest=True) @ bench.twin_from_part()
@@ -95,8 +114,8 @@ def observed_captures(rig_name: str, overrides: Sequence[str], run: str, noise: 
     bench.position = 0.0
     bench.place(Placement("sphere"))
     assert bench.mounted is not None
-    as_built = bench.mounted.specimen.as_built
-    centre, radius = as_built["sphere_centres_mm"][0], float(as_built["sphere_diameters_mm"][0]) / 2
+    ball_as_built = bench.mounted.specimen.as_built
+    centre, radius = ball_as_built["sphere_centres_mm"][0], float(ball_as_built["sphere_diameters_mm"][0]) / 2
     serial += EXPOSING
 
     def cap(xy: np.ndarray) -> np.ndarray:
@@ -125,7 +144,7 @@ def observed_captures(rig_name: str, overrides: Sequence[str], run: str, noise: 
         walk_mm=float(walk),
         ball=ball,
         diameter=2 * radius,
-        spots=Points(xyz, spots.centres_px, own, later(uncertainty, model, known, serial + frames)),
+        spots=Points(xyz, spots.centres_px, own, stated()),
         printed=bench.mounted.specimen.as_built["centres_mm"],
         board=board,
     )

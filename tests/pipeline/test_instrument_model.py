@@ -1,5 +1,7 @@
 """Camera path, projector path and both together: derivatives against differences, inverses against forward models."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -53,6 +55,15 @@ def test_derivatives_by_the_point_are_those_of_the_path(path):
     value, by_point, _ = model.linearise(xyz)
     np.testing.assert_allclose(value, forward(xyz), atol=1e-10)
     assert_close(by_point, differences(lambda step: forward(xyz + step), 3, 1e-4))
+
+
+def test_derivatives_by_the_row_are_those_of_the_phase():
+    projector, xyz = made().projector, volume(np.random.default_rng(12))
+
+    def phase(step):
+        return replace(projector, row=projector.row + step).phase(xyz)
+
+    assert_close(projector.by_row(xyz), differences(phase, 7, 1e-6))
 
 
 @pytest.mark.parametrize("path", ["camera", "projector"])

@@ -6,6 +6,7 @@ its wavelength; the lenses are those that the renderer traces, glass as it was b
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -119,11 +120,11 @@ def _moved(motion: np.ndarray, vectors: np.ndarray, shift: float) -> np.ndarray:
     return vectors @ motion[:3, :3].T + shift * motion[:3, 3]
 
 
-def _doubles(*columns: np.ndarray) -> list[Double]:
+def _doubles(*columns: np.ndarray) -> list[Any]:
     return [Double(np.ascontiguousarray(column, dtype=float)) for column in columns]
 
 
-def _array(*columns: Double) -> np.ndarray:
+def _array(*columns: Any) -> np.ndarray:
     return np.stack([np.array(column) for column in columns], axis=-1)
 
 
@@ -134,7 +135,8 @@ def _glass_outwards(built: AssembledPath) -> Callable:
 
     def outwards(points: np.ndarray, stop: np.ndarray, um: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         in_path = _moved(path_from_twin, points, 1.0)
-        pupil, at, weight = sampled.from_specimen(*_doubles(*in_path.T, *stop.T), Double(um))
+        x, y, z, stop_x, stop_y, wavelength = _doubles(*in_path.T, *stop.T, um)
+        pupil, at, weight = sampled.from_specimen(x, y, z, stop_x, stop_y, wavelength)
         dr.eval(pupil, at, weight)  # together: one by one each would be traced anew
         heads_for = np.column_stack([_array(*pupil), np.full(len(points), summary.entrance.z)])
         towards = heads_for - in_path
@@ -151,7 +153,8 @@ def _glass_inwards(built: AssembledPath) -> Callable:
 
     def inwards(at: np.ndarray, stop: np.ndarray, um: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         scale = summary.magnification * np.array([1.0, -1.0])
-        rays, weight = sampled.from_image(*_doubles(*(at * scale).T, *stop.T), Double(um))
+        x, y, stop_x, stop_y, wavelength = _doubles(*(at * scale).T, *stop.T, um)
+        rays, weight = sampled.from_image(x, y, stop_x, stop_y, wavelength)
         dr.eval(rays, weight)
         origin, direction = _array(*rays[:3]), _array(*rays[3:])
         return _moved(built.twin_from_path, origin, 1.0), _moved(built.twin_from_path, direction, 0.0), np.array(weight)

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from greenough.instrument.contract import BLANK, Placement
 from greenough.instrument.rigfile import RigFile
 from greenough.pipeline.acquisition import RIM_PX
-from greenough.pipeline.bundle_data import _GRID_COLS, BundleData, PlaneBlocks, SpotPhases
+from greenough.pipeline.bundle_data import BundleData, PlaneBlocks, SpotPhases, block_map
 from greenough.pipeline.camera_calibration import CameraCalibration, calibrate_camera
 from greenough.pipeline.spots import Spots
 from greenough.scenes.board import PrintedBoard, blank_height, ceramic_height
@@ -37,12 +37,16 @@ SHARP_BLUR_MM = 8.2e-3  # standard deviation of diffraction across an edge in fo
 _STEP = 1e-3  # mm or px of differences
 _SPOT_MARGIN_PX = 6  # of ink around a spot that is measured
 _INTERSECTIONS = 4
-_WEIGHT_PHASE = -0.25  # columns: the mirrors' stagger, see greenough.twin.dmd
+_STAGGER = 0.25  # columns: even and odd rows of mirrors show a pattern between them
 
 
 @dataclass(frozen=True)
 class Noise:
-    """Standard deviations of what is measured of a full picture."""
+    """Standard deviations of what is measured on full resolution.
+
+    By default those of the rendered default rig: of its bundles' residuals at spots, less what the fits take over, and
+    of the phases of single pixels.
+    """
 
     centre_px: float = 0.0060
     spot_phase_rad: float = 0.00105
@@ -79,6 +83,7 @@ class Instrument:
 
 
 def build(rig_file: RigFile, settings: TwinSettings, run: str) -> Instrument:
+    """The instrument that ``greenough.twin.open`` would open."""
     procedure = rig_file.procedure
     exposures = (procedure.postures + procedure.planes) * sum(procedure.steps)
     tables = (nodes_of_direct_light(count) for count in (NODES_FLAT, settings.render.nodes_edges))
@@ -130,7 +135,7 @@ def phase_of(instrument: Instrument, surface: Surface, pixels: np.ndarray, nodes
     rows, cols = instrument.rig_file.projector.shape
     row = mirror[:, 1].reshape(n, count)
     lit = np.all((column > 0) & (column < cols - 1) & (row > 0) & (row < rows - 1), axis=1)
-    phase = instrument.rad_per_column * (middle + surface.column_shift + _WEIGHT_PHASE) + np.angle(phasor)
+    phase = instrument.rad_per_column * (middle + surface.column_shift - _STAGGER) + np.angle(phasor)
     return np.where(lit, phase, np.nan)
 
 
@@ -320,7 +325,7 @@ def see_blank(instrument: Instrument, serial: int, noise: Noise, rng: np.random.
         path_shift(instrument, serial),
     )
     rows, cols = instrument.rig_file.camera.shape
-    side = max(1, cols // _GRID_COLS)
+    side = cols // block_map(np.zeros((rows, cols))).shape[1]
     v, u = np.meshgrid(*((np.arange(n // side) + 0.5) * side - 0.5 for n in (rows, cols)), indexing="ij")
     pixels = np.stack([u.ravel(), v.ravel()], axis=-1)
     half = 0.25 * side + RIM_PX  # a block counts from three quarters on

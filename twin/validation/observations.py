@@ -33,7 +33,6 @@ from .light_paths import LightPaths, Nodes, light_paths, renderer_nodes
 
 EXPOSING = 2  # white frames until an exposure is set
 RIM_POINTS = 6  # of a spot's circle
-SHARP_BLUR_MM = 8.2e-3  # standard deviation of diffraction across an edge in focus, as rendered edges are fitted
 _STEP = 1e-3  # mm or px of differences
 _SPOT_MARGIN_PX = 6  # of ink around a spot that is measured
 _INTERSECTIONS = 4
@@ -158,10 +157,8 @@ def spot_centres(instrument: Instrument, board: PrintedBoard, twin_from_board: n
     """Centres (spots, 2) of the ellipses that the pipeline's fit finds.
 
     A pixel takes the mean over the stop of what it sees, so that an edge is blurred by where the parts of the stop
-    image it, weighted by the light that comes through each. Of this distribution across the edge, with the third
-    central moment m, an edge with the symmetric blur h of standard deviation b is fitted m / 12 b² short of the mean:
-    the moment changes the edge by -m/6 h'', a shift ε by -ε h, and ε = m/6 <h'', h> / <h, h> = -m / 12 b² fits best.
-    Coma that is out of focus has such a moment.
+    image it, weighted by the light that comes through each. The fit finds the mean: what skew and change of the blur do
+    to it, it corrects, and what is left of that is not simulated.
     """
     angle = 2 * np.pi * np.arange(RIM_POINTS) / RIM_POINTS
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
@@ -184,14 +181,7 @@ def spot_centres(instrument: Instrument, board: PrintedBoard, twin_from_board: n
     weight = weight.reshape(spots, 1, count, 1)
     weight /= weight.sum(axis=2, keepdims=True)
     edges = imaged(rims.reshape(-1, 2)).reshape(spots, RIM_POINTS, count, 2)
-    mean = np.sum(weight * edges, axis=2)
-    along = np.roll(mean, -1, axis=1) - np.roll(mean, 1, axis=1)
-    normal = np.stack([along[..., 1], -along[..., 0]], axis=-1) / np.linalg.norm(along, axis=-1, keepdims=True)
-    across = np.sum((edges - mean[:, :, None]) * normal[:, :, None], axis=-1)  # (spots, points, nodes)
-    scale = instrument.settings.optics.pupil_distance_mm / instrument.settings.optics.camera_focal_px
-    sharp = (SHARP_BLUR_MM / scale) ** 2 + 1 / 12  # a pixel's own area is 1/12
-    square, cube = (np.sum(weight[..., 0] * across**n, axis=2) for n in (2, 3))
-    return ellipse_centres(mean - (cube / (12 * (sharp + square)))[..., None] * normal)
+    return ellipse_centres(np.sum(weight * edges, axis=2))
 
 
 def ellipse_centres(points: np.ndarray) -> np.ndarray:

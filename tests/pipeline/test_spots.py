@@ -41,12 +41,16 @@ def test_centres_are_unbiased_and_scatter_as_predicted(postures):
 
 
 def test_scatter_is_near_the_bound_for_a_known_even_light(postures, spot_board):
-    """Var >= 2 s σ² / (√π R K²) for radius R, blur s, contrast K; the free gradient of the light costs up to a half."""
+    """Var >= 2 s σ² / (√π R K²) for radius R, blur s, contrast K.
+
+    Taking the mean of an edge within 3 s to either side costs √(6 s / 2√π s) = 1.3 times that in a straight edge, and
+    more where the inner pixels of a small spot lie closer together; besides the light's gradient is free.
+    """
     big = spot_board.diameters() > 0.3
     for kind, radius in ((big, 20.0), (~big, 8.75)):
         errors = np.concatenate([(spots.centres_px - posture.ellipse_centres)[kind] for posture, spots in postures])
         bound = np.sqrt(2 * 1.3 / (np.sqrt(np.pi) * radius)) * NOISE_DN / (0.9 * 110.0)
-        assert bound < np.nanstd(errors) < 1.8 * bound
+        assert bound < np.nanstd(errors) < 2.0 * bound
 
 
 def test_blur_is_that_of_the_optics_and_of_the_pixels_box(postures):
@@ -137,3 +141,26 @@ def test_a_picture_that_is_none_is_refused(spot_board):
         detect_spots(np.zeros((3, 960, 1280)), spot_board)
     with pytest.raises(InputError, match="not finite"):
         detect_spots(np.full((960, 1280), np.nan), spot_board)
+
+
+def test_a_skewed_blur_moves_a_centre_by_little_more_than_its_mean(paint, pose, spot_board):
+    """Blur of two unequal parts, as coma makes it out of focus.
+
+    A symmetric edge of blur b that fits it best lies m / 12 b² beside its mean, with m the third central moment. Of
+    that at most two thirds are left, for in the fit the light's gradient takes over a part of the skew.
+    """
+    posture = paint(
+        spot_board, pose(10.0, 40.0, 20.0, (0.1, -0.1)), np.random.default_rng(5), blur_px=0.8, noise_dn=0.02,
+        lit_field=False,
+    )  # fmt: skip
+    share, shift = 0.2, 1
+    skewed = (1 - share) * posture.picture + share * np.roll(posture.picture, shift, axis=1)
+    spots = detect_spots(skewed, spot_board)
+    errors = spots.centres_px - posture.ellipse_centres - [share * shift, 0.0]
+    moment = share * (1 - share) * (1 - 2 * share) * shift**3
+    symmetric = -moment / (12 * np.nanmedian(spots.blur_px) ** 2)
+    assert spots.seen.sum() > 80
+    for kind in (spot_board.diameters() > 0.3, spot_board.diameters() < 0.3):
+        along, across = np.nanmean(errors[kind], axis=0)
+        assert 0 < along / symmetric < 2 / 3
+        assert abs(across) < 0.001

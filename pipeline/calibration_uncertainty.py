@@ -49,7 +49,7 @@ class CalibrationUncertainty:
     def displacements(self, pixels: np.ndarray, z: np.ndarray) -> np.ndarray:
         """What each cause does (n, 3, k), mm, to points at heights (n,) that pixels (n, 2) u, v see.
 
-        Linear between the grid's nodes, and beyond them. NaN where z is.
+        Linear between the grid's nodes, beyond them as at the outermost. NaN where z is.
         """
         return self._between(np.moveaxis(self.modes_mm, 0, -1), pixels, z)
 
@@ -73,8 +73,8 @@ class CalibrationUncertainty:
 
     def _between(self, values: np.ndarray, pixels: np.ndarray, z: np.ndarray) -> np.ndarray:
         nodes = (self.heights_mm, self.grid_v_px, self.grid_u_px)
-        at = np.column_stack([z, pixels[:, ::-1]])
-        return RegularGridInterpolator(nodes, values, bounds_error=False, fill_value=None)(at)
+        at = [np.clip(place, axis[0], axis[-1]) for place, axis in zip((z, *pixels[:, ::-1].T), nodes, strict=True)]
+        return RegularGridInterpolator(nodes, values, bounds_error=False)(np.stack(at, axis=-1))
 
 
 def grid_nodes(

@@ -103,7 +103,7 @@ def decode(
     results = (absolute, phasors[-1].modulation, background, valid, unwrapped.residual, sigma)
     dr.eval(*results)
     exposures = int(frames.serials[-1]) + 1 if isinstance(frames, Frames) else 0
-    return PhaseMap(*(np.array(result).reshape(shape) for result in results), exposures)
+    return PhaseMap(*(np.array(result).reshape(shape) for result in results), exposures=exposures)
 
 
 def _grey_values(frames: Frames | np.ndarray, fringes: FringeSet) -> tuple[np.ndarray, float, float]:

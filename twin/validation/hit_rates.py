@@ -102,7 +102,7 @@ def agreements(first: Mapping[str, Sequence[float]], second: Mapping[str, Sequen
     limit = FAMILY_FALSE_ALARM / len(first)
     result = []
     for name in first:
-        found = ks_2samp(first[name], second[name], method="exact")
+        distance, p_value = np.asarray(ks_2samp(first[name], second[name], method="exact"), dtype=float)
         sizes = len(first[name]), len(second[name])
-        result.append(Agreement(name, sizes, float(found.statistic), float(found.pvalue), limit))
+        result.append(Agreement(name, sizes, float(distance), float(p_value), limit))
     return result

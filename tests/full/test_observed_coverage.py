@@ -17,7 +17,6 @@ def test_observations_calibrate_and_measure_within_a_few_stated_uncertainties():
     rows = observed_coverage("twin", COARSE, "coverage", lambda _: None)
     assert [row["measurand"] for row in rows] == list(MEASURANDS)
     for row in rows:
-        assert row["level"] == "observations"
         assert row["u_um"] == pytest.approx(np.hypot(row["u_noise_um"], row["u_calibration_um"]))
         assert 0 < abs(row["error_um"]) < 6 * row["u_um"]
         assert row["hit"] == (abs(row["error_um"]) <= 1.959964 * row["u_um"])

@@ -8,7 +8,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Literal
 
 import numpy as np
 
@@ -29,7 +28,6 @@ from .planes import plane_terms
 from .setup import Setup
 from .step import STEP_MM
 
-Level = Literal["rendered", "observations"]
 MEASURANDS = ("plane height", "step", "sphere diameter", "pitch")
 CONFIDENCE = 0.95
 
@@ -116,23 +114,23 @@ def coverage(rig_name: str, overrides: Sequence[str], run: str, advance: Callabl
     InputError
         As ``calibrate`` does.
     """
-    return figures(rendered_captures(rig_name, overrides, run, advance), "rendered", run)
+    return figures(rendered_captures(rig_name, overrides, run, advance), run)
 
 
-def figures(captures: Captures, level: Level, run: str) -> list[Figures]:
+def figures(captures: Captures, run: str) -> list[Figures]:
     """What was measured beside the truth, a line for each measurand.
 
-    Each has ``measurand`` and ``level``; ``error_um``, ``u_noise_um``, ``u_calibration_um`` and ``u_um``, the combined
-    standard uncertainty; ``hit``, 1 if the stated 95 % interval holds the truth, else 0.
+    Each has ``measurand``; ``error_um``, ``u_noise_um``, ``u_calibration_um`` and ``u_um``, the combined standard
+    uncertainty; ``normalised``, the error over it; ``hit``, 1 if the stated 95 % interval holds the truth, else 0.
     """
     return [
         {
             "measurand": name,
-            "level": level,
             "error_um": 1e3 * (estimate.value - true),
             "u_noise_um": 1e3 * estimate.noise_sd,
             "u_calibration_um": 1e3 * estimate.calibration_sd,
             "u_um": 1e3 * estimate.sd,
+            "normalised": (estimate.value - true) / estimate.sd,
             "hit": float(holds(estimate, true)),
         }
         for name, (estimate, true) in zip(MEASURANDS, measured(captures, run_rng(0, run, "coverage")), strict=True)

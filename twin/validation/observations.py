@@ -47,9 +47,9 @@ class Noise:
     of the phases of single pixels.
     """
 
-    centre_px: float = 0.0060
-    spot_phase_rad: float = 0.00105
-    pixel_phase_rad: float = 0.0104
+    centre_px: float
+    spot_phase_rad: float
+    pixel_phase_rad: float
 
 
 NOISELESS = Noise(0.0, 0.0, 0.0)

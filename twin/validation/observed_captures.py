@@ -2,11 +2,15 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
 from greenough.instrument.contract import Placement
 from greenough.instrument.rigfile import load_rig_file
+from greenough.pipeline.acquisition import calibrate
 from greenough.pipeline.bundle import solve_bundle
 from greenough.pipeline.calibration_uncertainty import CalibrationUncertainty, uncertainty_of_model
 from greenough.pipeline.instrument_model import InstrumentModel
@@ -14,6 +18,7 @@ from greenough.pipeline.instrument_model import InstrumentModel
 from ..instability import Instability
 from ..quadrature import nodes_of_direct_light
 from ..randomness import run_rng
+from ..rig import open as open_twin
 from ..settings import twin_settings
 from .coverage import (
     ACROSS,
@@ -42,25 +47,70 @@ from .observations import (
     see_spots,
 )
 from .pitch import POSTURE
+from .planes import count, rms
+from .setup import Setup
 from .step import STEP_MM
+
+NOISE_SEED = 0
 
 
 def observed_coverage(
     rig_name: str, overrides: Sequence[str], run: str, advance: Callable[[float], None]
 ) -> list[Figures]:
-    """As `coverage.coverage`, on the level of observations; ``advance`` is called with 1 at the end."""
-    result = figures(observed_captures(rig_name, overrides, run), "observations", run)
+    """As `coverage.coverage`, on the level of observations; ``advance`` is called with 1 at the end.
+
+    The noise is that of one rendered instrument with the same settings, which is not among those of a study.
+    """
+    settings = tuple(setting for setting in overrides if not setting.startswith("twin.seed="))
+    result = figures(observed_captures(rig_name, overrides, run, measured_noise(rig_name, settings)), run)
     advance(1)
     return result
 
 
-def observed_captures(rig_name: str, overrides: Sequence[str], run: str, noise: Noise | None = None) -> Captures:
-    """Calibrate by observations and measure by them in another run; parameters as those of ``greenough.twin.open``.
+@cache
+def measured_noise(rig_name: str, overrides: tuple[str, ...]) -> Noise:
+    """What rendered frames of instrument `NOISE_SEED` with these settings show, all effects on; once per process.
 
-    ``noise`` is by default what rendered captures of the default rig show.
+    Centres and phases of spots: the residuals of its bundle, for the degrees of freedom that they lack. Single pixels:
+    what the decoding states of a plane's median pixel, which `measured_noise` and the acceptance hold to what is measured.
     """
+    settings, run = [*overrides, f"twin.seed={NOISE_SEED}"], "noise"
+    rig, bench = open_twin(rig_name, settings, run)
+    with TemporaryDirectory() as folder, rig:
+        calibration = calibrate(rig, Path(folder) / "calibration.h5", run)
+    rig, bench = open_twin(rig_name, settings, f"{run} measured")
+    setup = Setup(rig, bench, calibration)
+    with rig:
+        setup.place(Placement("plane"))
+        phase_map = setup.capture()
+    residuals, model = calibration.residuals, calibration.instrument
+    assert model is not None
+    postures, spots, _ = residuals.spots_px.shape
+    fitted = 2 * spots + 6 * (postures - 1) + model.parameters
+    return Noise(
+        centre_px=_noise_of(residuals.spots_px, fitted * _share(residuals.spots_px, residuals.spot_phases_rad)),
+        spot_phase_rad=_noise_of(
+            residuals.spot_phases_rad, fitted * _share(residuals.spot_phases_rad, residuals.spots_px)
+        ),
+        pixel_phase_rad=float(np.median(phase_map.sigma[phase_map.valid])),
+    )
+
+
+def _share(one: np.ndarray, other: np.ndarray) -> float:
+    """Of all observations, those of one kind."""
+    return count(one) / (count(one) + count(other))
+
+
+def _noise_of(residuals: np.ndarray, fitted: float) -> float:
+    """Standard deviation of noise from residuals, NaN where none was measured, that ``fitted`` parameters made less."""
+    n = count(residuals)
+    return rms(residuals) * float(np.sqrt(n / (n - fitted)))
+
+
+def observed_captures(rig_name: str, overrides: Sequence[str], run: str, noise: Noise) -> Captures:
+    """Calibrate by observations and measure by them in another run; parameters as those of ``greenough.twin.open``."""
     rig_file = load_rig_file(rig_name, overrides)
-    settings, noise = twin_settings(rig_file), noise or Noise()
+    settings = twin_settings(rig_file)
     rng = run_rng(settings.seed, run, "observations")
     instrument = build(rig_file, settings, run)
     calibrating = observe(instrument, noise, rng)

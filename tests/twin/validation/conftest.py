@@ -38,7 +38,7 @@ def analytic() -> Callable[..., Setup]:
             run="calibration",
             exposures=(16 + 1 + 30) * 24 + 5,
             figures={"method": "paper", "reprojection_rmse_u_px": 0.06, "postures_without_board": ()},
-            phase_height=SimpleNamespace(height=lambda phase: phase),
+            phase_height=SimpleNamespace(height=lambda phase: phase, slope=np.ones_like),
             residuals=None,
         )
         rig = SimpleNamespace(

@@ -31,7 +31,9 @@ OFF = {
 def twin(section: str | None = None, **sizes: float) -> Setup:
     """A setup that turns phase into height by a constant, and of all noise has only the given sizes."""
     chosen = {name: values | (sizes if name == section else {}) for name, values in OFF.items()}
-    relation = SimpleNamespace(height=lambda phase: MM_PER_RAD * phase)
+    relation = SimpleNamespace(
+        height=lambda phase: MM_PER_RAD * phase, slope=lambda phase: np.full_like(phase, MM_PER_RAD, dtype=float)
+    )
     rig = SimpleNamespace(camera=SimpleNamespace(noise=CAMERA), procedure=SimpleNamespace(steps=FRINGES.steps))
     bench = SimpleNamespace(settings=TwinSettings.model_validate(chosen))
     return Setup(rig, bench, SimpleNamespace(phase_height=relation))

@@ -121,10 +121,12 @@ def test_points_are_lost_where_the_error_leads_out_of_the_calibrated_heights(ana
     def rays(z: np.ndarray) -> np.ndarray:
         return np.stack([image, image, z], axis=-1)
 
-    setup.calibration.rays = SimpleNamespace(points=rays)
+    setup.calibration.rays = SimpleNamespace(points=rays, slope=np.zeros((*z.shape, 2)))
+    setup.calibration.uncertainty_after = lambda exposures: None
     setup.calibration.check_shape = lambda shape: None
     setup.calibration.phase_height = SimpleNamespace(
         height=lambda phase: phase,
+        slope=np.ones_like,
         z_range=known,
         covers=lambda phase, margin_mm: (phase > known[..., 0] - margin_mm) & (phase < known[..., 1] + margin_mm),
     )

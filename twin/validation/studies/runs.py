@@ -87,8 +87,10 @@ def runs_of(study: StudyFile, overrides: Sequence[str] = ()) -> list[Run]:
     """
     rig = study.rig if study.rig in builtin_rigs() else str(Path(study.rig).resolve())
     runs = []
-    for seed in study.seeds:
+    for seed in sorted({*study.seeds, *(seed for seeds in study.instruments.values() for seed in seeds)}):
         for case, settings in study.all_cases.items():
+            if seed not in study.instruments.get(case, study.seeds):
+                continue
             chosen = (*study.settings, *overrides, *settings, f"twin.seed={seed}")
             try:
                 rig_file, _ = load_twin_file(rig, chosen)
@@ -96,7 +98,8 @@ def runs_of(study: StudyFile, overrides: Sequence[str] = ()) -> list[Run]:
                 raise InputError(f"case {case} of study {study.name}: {error}") from None
             for repeat in range(1, study.repeats.get(case, 1) + 1):
                 name = study.name if repeat == 1 else f"{study.name} {repeat}"
-                runs.append(Run(case, seed, repeat, study.kind, rig, chosen, name, rig_file.settings_sha256))
+                kind = study.kinds.get(case, study.kind)
+                runs.append(Run(case, seed, repeat, kind, rig, chosen, name, rig_file.settings_sha256))
     return runs
 
 

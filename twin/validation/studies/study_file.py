@@ -23,8 +23,16 @@ _STRICT = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 def _seeds(value: Any) -> Any:
-    """A count stands for the seeds 1, 2, ..."""
-    allowed = f"must be a count from 1 to {MAX_INSTRUMENTS} or a list of as many different seeds from 0 to {MAX_SEED}"
+    """A count stands for the seeds 1, 2, ...; "FIRST to LAST" for all between."""
+    allowed = (
+        f'must be a count from 1 to {MAX_INSTRUMENTS}, "FIRST to LAST", or a list of as many different seeds from 0 to '
+        f"{MAX_SEED}"
+    )
+    if isinstance(value, str):
+        first, _, last = value.partition(" to ")
+        if not (first.isdigit() and last.isdigit() and int(last) < MAX_SEED):
+            raise ValueError(allowed)
+        value = list(range(int(first), min(int(last), int(first) + MAX_INSTRUMENTS) + 1))
     if type(value) is int and 1 <= value <= MAX_INSTRUMENTS:
         return tuple(range(1, value + 1))
     if not isinstance(value, list) or not 1 <= len(value) <= MAX_INSTRUMENTS:
@@ -56,7 +64,8 @@ class StudyFile(BaseModel):
     the cases of an ablation, see ``ablation.cases_of``. ``repeats`` says how often a case is run on each instrument,
     each time with noise and drifts of its own. A limit is what the root mean square of a figure over all runs may
     reach: of every line with that figure, or, written ``LINE.FIGURE``, of lines of that case or with that text. A rate
-    is how often a figure that is 0 or 1 should be 1.
+    is how often a figure that is 0 or 1 should be 1, over all cases. ``kinds`` and ``instruments`` give a case another
+    experiment and other seeds. ``agree`` names figures whose distributions must be the same in two cases.
     """
 
     model_config = _STRICT
@@ -72,6 +81,9 @@ class StudyFile(BaseModel):
     figures: tuple[_Name, ...] = ()
     limits: _Limits = {}
     rates: dict[_Name, Annotated[float, Field(gt=0, lt=1)]] = {}
+    kinds: dict[_Name, _Name] = {}
+    instruments: dict[_Name, _Seeds] = {}
+    agree: dict[_Name, tuple[_Name, _Name]] = {}
 
     @field_validator("kind")
     @classmethod
@@ -81,6 +93,11 @@ class StudyFile(BaseModel):
             raise ValueError(f'must be {names} or a "package.module:function" that exists, not {json.dumps(kind)}')
         return kind
 
+    @field_validator("kinds")
+    @classmethod
+    def _exist(cls, kinds: dict[str, str]) -> dict[str, str]:
+        return {case: cls._exists(kind) for case, kind in kinds.items()}
+
     @model_validator(mode="after")
     def _consistent(self) -> "StudyFile":
         for settings in (self.settings, *self.all_cases.values()):
@@ -89,9 +106,12 @@ class StudyFile(BaseModel):
         for name, effect in self.effects.items():
             if effect.within is not None and effect.within not in self.effects:
                 raise ValueError(f"effects.{name}.within must name another of the effects, not {effect.within}")
-        for name in self.repeats:
-            if name not in self.all_cases:
-                raise ValueError(f"repeats.{name} must name one of the cases: {', '.join(self.all_cases)}")
+        named = {field: getattr(self, field) for field in ("repeats", "kinds", "instruments")}
+        named |= {f"agree.{figure}": cases for figure, cases in self.agree.items()}
+        for field, cases in named.items():
+            for name in cases:
+                if name not in self.all_cases:
+                    raise ValueError(f"{field}.{name} must name one of the cases: {', '.join(self.all_cases)}")
         return self
 
     @property

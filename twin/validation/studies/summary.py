@@ -6,15 +6,15 @@ from dataclasses import asdict, dataclass
 from itertools import groupby
 
 import numpy as np
-from scipy.stats import binom
 
 from ..benchmark import Row
+from ..hit_rates import acceptable_hits, agreement
 from . import ablation
 from .runs import Outcome, Run
 from .study_file import StudyFile
 
 FALSE_ALARM = 0.01
-"""Chance that any of a study's rates is refused although all are what they should be."""
+"""Chance that any of a study's rates is refused although all are what they should be; the same of its agreements."""
 
 UNITS = {"um": "µm", "mm": "mm", "px": "px", "deg": "°", "rad": "rad", "ppm": "ppm", "s": "s", "min": "min"}
 
@@ -96,11 +96,10 @@ def _statistics(case: str, line: str, figure: str, values: np.ndarray, runs: int
 
 
 def rows(study: StudyFile, finished: Finished, found: Sequence[Statistics]) -> list[Row]:
-    """What must hold: no run failed, every limit, and every rate of the study.
+    """What must hold: no run failed, every limit, every rate and every agreement of the study.
 
-    A limit holds if the root mean square over all runs of the case reaches it at most. Of two limits for one figure
-    that of its line or case counts. A rate holds if the share of ones lies in `rate_interval`. Neither does where a run
-    has no such figure, or no run at all.
+    A limit holds if the root mean square over all runs of the case reaches it at most, and not where a run has no such
+    figure, or no run at all. Of two limits for one figure that of its line or case counts.
     """
     failed = sum(outcome.failure is not None for _, outcome in finished)
     result = [Row("failed runs", failed, "", limit=0, holds=failed == 0)]
@@ -115,24 +114,42 @@ def rows(study: StudyFile, finished: Finished, found: Sequence[Statistics]) -> l
             result.append(Row(f"{each.title}, rms", each.rms, unit_of(each.figure), limit=limit, holds=holds))
     missing = (name for name in study.limits if name not in used)
     result += [Row(f"{name}, rms", math.nan, unit_of(name), limit=study.limits[name], holds=False) for name in missing]
-    judged = [each for each in found if each.figure in study.rates and each.n]
-    for each in judged:
-        low, high = rate_interval(study.rates[each.figure], each.n, len(judged))
-        peer = f"{low:.4g} to {high:.4g}"
-        holds = each.missing == 0 and low <= each.mean <= high
-        result.append(Row(f"{each.title}, rate", each.mean, "", peer, holds=holds))
-    seen = {each.figure for each in judged}
+    return result + _rate_rows(study, finished) + _agreement_rows(study, finished)
+
+
+def _rate_rows(study: StudyFile, finished: Finished) -> list[Row]:
+    """How often each line's figure is 1, over all cases, between what chance leaves."""
+    failed = sum(outcome.failure is not None for _, outcome in finished)
+    hits: dict[tuple[str, str], list[float]] = {}
+    for _, line, figure, value in _values(finished):
+        if figure in study.rates:
+            hits.setdefault((line, figure), []).append(value)
+    result = []
+    for (line, figure), values in hits.items():
+        n = len(values)
+        low, high = acceptable_hits(n, study.rates[figure], FALSE_ALARM / len(hits))
+        name = ", ".join(filter(None, (line, figure, "rate")))
+        holds = failed == 0 and bool(low <= sum(values) <= high)
+        result.append(Row(name, float(np.mean(values)), "", f"{low / n:.4g} to {high / n:.4g}", holds=holds))
+    seen = {figure for _, figure in hits}
     return result + [Row(f"{name}, rate", math.nan, "", holds=False) for name in study.rates if name not in seen]
 
 
-def rate_interval(rate: float, n: int, together: int) -> tuple[float, float]:
-    """Shares that ``n`` independent draws have but for a chance of ``FALSE_ALARM``, of any of ``together`` such shares.
-
-    Binomial, with an equal part of the chance on either side and, by Bonferroni, for each share.
-    """
-    tail = FALSE_ALARM / (2 * together)
-    low, high = binom.ppf([tail, 1 - tail], n, rate)
-    return float(low) / n, float(high) / n
+def _agreement_rows(study: StudyFile, finished: Finished) -> list[Row]:
+    """Chance of a difference as large as that of each line's figure between two cases."""
+    samples: dict[tuple[str, str], dict[str, list[float]]] = {}
+    for run, line, figure, value in _values(finished):
+        if run.case in study.agree.get(figure, ()):
+            samples.setdefault((line, figure), {}).setdefault(run.case, []).append(value)
+    result = []
+    for (line, figure), of in samples.items():
+        first, second = study.agree[figure]
+        name = ", ".join(filter(None, (line, figure, f"agreement of {first} and {second}, p")))
+        p_value = agreement(of[first], of[second]).p_value if len(of) == 2 else math.nan
+        limit = FALSE_ALARM / len(samples)
+        result.append(Row(name, p_value, "", limit=limit, holds=p_value >= limit))
+    seen = {figure for _, figure in samples}
+    return result + [Row(f"{name}, agreement", math.nan, "", holds=False) for name in study.agree if name not in seen]
 
 
 def unit_of(figure: str) -> str:

@@ -17,7 +17,6 @@ from greenough.instrument.errors import InputError
 from greenough.twin.validation.studies import load_study
 from greenough.twin.validation.studies.runs import execute, kept, runs_of
 from greenough.twin.validation.studies.study import here, run_study
-from greenough.twin.validation.studies.summary import FALSE_ALARM, rate_interval
 
 
 def command(*words: str) -> int:
@@ -152,17 +151,6 @@ def test_limits_hold_or_the_command_exits_with_one(study_file, tmp_path, capsys)
     assert {row["name"] for row in rows if row["holds"] is False} == {"c.height_um, rms", "heigth_um, rms"}
 
 
-def test_right_rates_are_refused_at_most_as_often_as_stated_and_wrong_ones_are_not_passed():
-    """4000 studies of four rates: the family's false alarms, 1 % at most, are counted to 0.16 % (one sigma)."""
-    rng = np.random.default_rng(5)
-    low, high = rate_interval(0.95, 400, 4)
-    shares = rng.binomial(400, 0.95, (4000, 4)) / 400
-    alarms = np.mean(((shares < low) | (shares > high)).any(axis=1))
-    assert 0.001 < alarms < FALSE_ALARM + 4 * 0.0016
-    wrong = rng.binomial(400, 0.85, 4000) / 400
-    assert np.mean(wrong < low) > 0.95
-
-
 def test_rates_are_judged_line_by_line(study_file, tmp_path, capsys, laboratory):
     (laboratory / "coin.py").write_text("def measure(*arguments):\n    return [{'side': 'x', 'hit': 1.0}]")
     path = study_file("rated", seeds="20", sections="[rates]\nhit = 0.5\nmiss = 0.5")
@@ -170,9 +158,37 @@ def test_rates_are_judged_line_by_line(study_file, tmp_path, capsys, laboratory)
     path.write_text(text)
     assert command(str(path), "--out", str(tmp_path), "--json") == 1
     rows = {row["name"]: row for row in json.loads(capsys.readouterr().out)["rows"]}
-    assert (rows["1, x, hit, rate"]["value"], rows["1, x, hit, rate"]["holds"]) == (1, False)
-    assert rows["1, x, hit, rate"]["peer"] == "0.2 to 0.8"  # 3 or fewer of 20 have a chance of 0.13 %, 4 of 0.6 %
+    assert (rows["x, hit, rate"]["value"], rows["x, hit, rate"]["holds"]) == (1, False)
+    assert rows["x, hit, rate"]["peer"] == "0.2 to 0.8"  # 3 or fewer of 20 have a chance of 0.13 %, 4 of 0.6 %
     assert rows["miss, rate"]["holds"] is False
+
+
+def test_cases_may_have_experiments_and_instruments_of_their_own_and_must_then_agree(
+    study_file, tmp_path, capsys, laboratory
+):
+    """Two experiments that draw from one distribution, and one that draws from another."""
+    draw = "def measure(rig, overrides, run, advance):\n    seed = int(overrides[-1].split('=')[1])\n"
+    for name, shift in (("one", 0), ("other", 0), ("third", 3)):
+        line = (
+            f"    return [{{'side': 'x', 'e': np.random.default_rng([seed, {len(name)}]).normal({shift}), 'hit': 1.0}}]"
+        )
+        (laboratory / f"{name}.py").write_text("import numpy as np\n" + draw + line)
+    sections = (
+        '[kinds]\n"2" = "{}:measure"\n[instruments]\n"2" = "11 to 50"\n[agree]\ne = ["1", "2"]\n[rates]\nhit = 0.95'
+    )
+    for second, holds in (("other", True), ("third", False)):
+        path = study_file(f"pair-{second}", seeds="10", sections=sections.format(second))
+        path.write_text(path.read_text().replace("heights:", "one:"))
+        assert command(str(path), "--out", str(tmp_path / second), "--json") == (0 if holds else 1)
+        found = json.loads(capsys.readouterr().out)["rows"]
+        rows = {row["name"]: row for row in found}
+        assert rows["x, e, agreement of 1 and 2, p"]["holds"] is holds
+        assert rows["x, hit, rate"]["peer"].endswith("to 1")  # of 50 draws together
+        summary = json.loads((tmp_path / second / "summary.json").read_text())
+        assert sorted((run["case"], run["seed"]) for run in summary["runs"]) == [
+            *(("1", seed) for seed in range(1, 11)),
+            *(("2", seed) for seed in range(11, 51)),
+        ]
 
 
 def test_tables_have_a_row_for_each_case(study_file, tmp_path, capsys):

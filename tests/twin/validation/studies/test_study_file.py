@@ -39,6 +39,10 @@ START = 'name = "mine"\nkind = "cost"\n'
         (START + "seeds = 1\n[limits]\nstep_um = -1", ["limits.step_um = -1", "from 0"]),
         (START + "seeds = 1\n[limits]\npaper.step_um = true", ["limits.paper.step_um", "number"]),
         (START + "seeds = 1\n[repeats]\nall = 3", ["repeats.all", "as set"]),
+        (START + 'seeds = "9 to 3x"', ["seeds", "FIRST to LAST"]),
+        (START + "seeds = 1\n[instruments]\nall = 3", ["instruments.all", "as set"]),
+        (START + 'seeds = 1\n[agree]\ne = ["as set", "all"]', ["agree.e.all", "as set"]),
+        (START + 'seeds = 1\n[kinds]\n"as set" = "nothing"', ["kinds", "coverage"]),
         (START + 'seeds = 1\n[repeats]\n"as set" = 1', ["repeats.as set = 1", "from 2"]),
         (START + 'seeds = 1\n[effects]\nx = { off = ["a=0"], within = "y" }', ["effects.x.within", "y"]),
         (START + "seeds = 1\n[effects]\nx = { on = 1 }", ["effects.x.on", "no field"]),
@@ -76,7 +80,9 @@ def test_a_kind_that_fails_to_import_is_no_wrong_field(tmp_path, monkeypatch):
 def test_built_in_studies_can_be_run(name):
     """Rig and twin take the settings of every case."""
     study = load_study(name)
-    planned = sum(study.repeats.get(case, 1) for case in study.all_cases) * len(study.seeds)
+    planned = sum(
+        study.repeats.get(case, 1) * len(study.instruments.get(case, study.seeds)) for case in study.all_cases
+    )
     assert len({(run.case, run.seed, run.repeat) for run in runs_of(study)}) == planned
 
 

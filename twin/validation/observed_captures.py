@@ -72,7 +72,7 @@ def measured_noise(rig_name: str, overrides: tuple[str, ...]) -> Noise:
     """What rendered frames of instrument `NOISE_SEED` with these settings show, all effects on; once per process.
 
     Centres and phases of spots: the residuals of its bundle, for the degrees of freedom that they lack. Single pixels:
-    what the decoding states of a plane's median pixel, which `measured_noise` and the acceptance hold to what is measured.
+    what decoding states of a plane's median pixel, which the acceptance holds to what is measured.
     """
     settings, run = [*overrides, f"twin.seed={NOISE_SEED}"], "noise"
     rig, bench = open_twin(rig_name, settings, run)

@@ -25,6 +25,7 @@ from .bundle_data import BundleData
 from .bundle_rows import BLOCKS, CENTRES, SPOT_PHASES, Rows, plane_rows, posture_rows
 from .bundle_state import BoardShape, BundleState, Layout
 from .camera_calibration import CameraCalibration
+from .covariance import covariance_of
 from .imaging_path import ImagingPath
 from .instrument_model import InstrumentModel
 from .legendre_field import DepthField
@@ -60,7 +61,8 @@ class Bundle:
     Parameters
     ----------
     state : BundleState
-        With the instrument's covariance: everything that the observations leave open, the board's scale included.
+        With the instrument's covariance: everything that the observations leave open, and of the board's scale what
+        print errors that are independent of each other do to it. What the certificate leaves open is not in it.
     board : BoardShape
     residuals_px : (postures, spots, 2)
         Measured minus fitted centres; NaN where unseen or left out.
@@ -133,7 +135,7 @@ def solve_bundle(
             break
     state, information = _solve(problem, state, weights)
     instrument = problem.layout.instrument
-    covariance = _inverse(information)[:instrument, :instrument]
+    covariance = covariance_of(information)[:instrument, :instrument]
     state = replace(state, instrument=replace(state.instrument, covariance=covariance))
     return _result(problem, state, weights)
 
@@ -301,17 +303,12 @@ def _solve(problem: _Problem, state: BundleState, weights: _Weights) -> tuple[Bu
     return state, matrix
 
 
-def _inverse(matrix: np.ndarray) -> np.ndarray:
-    scale = np.sqrt(np.diag(matrix))
-    return cho_solve(cho_factor(matrix / np.outer(scale, scale)), np.eye(len(scale))) / np.outer(scale, scale)
-
-
 def _reweighted(problem: _Problem, state: BundleState, weights: _Weights, information: np.ndarray) -> _Weights:
     """Leave out outliers, and estimate the variance common to each kind from what the fit leaves over.
 
     A residual's variance is less than its observation's by what the fit took over of it, its leverage.
     """
-    covariance = _inverse(information)
+    covariance = covariance_of(information)
     own, kinds = _own_variance(problem.data), _kinds(problem.data)
     kept, residuals, shares = [], [], []
     for rows, variance, alone in zip(problem.rows(state), weights.variance, own, strict=True):

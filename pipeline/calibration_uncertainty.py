@@ -13,7 +13,7 @@ from scipy.interpolate import RegularGridInterpolator
 
 from greenough.instrument.contract import KnownUncertainty
 
-from .camera_calibration import covariance_root
+from .covariance import covariance_root
 from .instrument_model import InstrumentModel
 
 GRID = (7, 13, 17)

@@ -10,6 +10,7 @@ from greenough.instrument.contract import SpotBoard
 from greenough.instrument.errors import InputError
 
 from .camera_model import CameraModel
+from .covariance import covariance_of, covariance_root
 from .homographies import check_tilts, start_camera
 from .spots import Spots
 
@@ -166,13 +167,6 @@ def _check(centres: np.ndarray, seen: np.ndarray, names: list[str]) -> None:
             f"too few spots were seen in posture {', '.join(poor)}: at least {_MIN_POINTS} are needed; leave it out or "
             "lay the board more into the light"
         )
-
-
-def covariance_root(covariance: np.ndarray) -> np.ndarray:
-    """A matrix L with L Lᵀ = covariance, also where that is singular."""
-    scale = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
-    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    return scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
 
 
 def _project_points(camera: CameraModel, camera_from_frame: np.ndarray, xyz: np.ndarray) -> np.ndarray:
@@ -335,8 +329,7 @@ def _covariance(
     """Covariance of all parameters from independent noise and from print errors that every posture repeats."""
     jacobians = _jacobians(camera, poses, views)
     normal = _normal_matrix(jacobians, variance, views.k2_sd)
-    scale = np.sqrt(np.diag(normal))
-    inverse = np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale)
+    inverse = covariance_of(normal)
     noise = _normal_matrix(jacobians, variance**2 / noise_sd**2, views.k2_sd)
     spots = len(views.nominal)
     by_print = np.zeros((len(normal), 2 * spots))  # what a unit print error adds to the gradient

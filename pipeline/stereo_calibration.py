@@ -16,8 +16,9 @@ import numpy as np
 from greenough.instrument.contract import SpotBoard
 
 from .bundle_data import SpotPhases
-from .camera_calibration import INTRINSICS, CameraCalibration, covariance_root
+from .camera_calibration import INTRINSICS, CameraCalibration
 from .camera_model import CameraModel
+from .covariance import covariance_root
 from .imaging_path import ImagingPath, cross_matrices, moved_pose
 from .instrument_model import InstrumentModel
 from .legendre_field import DepthField

@@ -176,7 +176,7 @@ def _acquire_postures(
         identity=rig.identity,
         board=rig.board,
         procedure=rig.procedure,
-        uncertainty=rig.uncertainty,
+        known=rig.uncertainty,
         run=run,
         exposures=max(exposures.values()),
         spots=spots,

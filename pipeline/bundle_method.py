@@ -74,7 +74,7 @@ def calibrate_by_bundle(data: CalibrationData) -> Calibration:
             planes_um=planes.blocks_um,
             pixels_um=np.where(relation.valid, planes.pixels_um, np.nan),
         ),
-        uncertainty=uncertainty_of_model(instrument, low, high, data.uncertainty, data.drift_share),
+        uncertainty=uncertainty_of_model(instrument, low, high, data.known, data.drift_share),
         instrument=instrument,
     )
 
@@ -82,7 +82,7 @@ def calibrate_by_bundle(data: CalibrationData) -> Calibration:
 def path_drift(data: CalibrationData) -> np.ndarray:
     """Covariance (postures, postures) mm² of a random walk along the postures, that of min(t, t') per unit of time."""
     time = data.exposures_at_postures / data.procedure.exposures
-    return data.uncertainty.path_drift_mm**2 * np.minimum.outer(time, time)
+    return data.known.path_drift_mm**2 * np.minimum.outer(time, time)
 
 
 def _check(planes: tuple[PlaneBlocks, ...]) -> None:

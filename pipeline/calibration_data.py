@@ -26,8 +26,8 @@ class CalibrationData:
 
     Parameters
     ----------
-    identity, board, procedure, uncertainty
-        Of the rig.
+    identity, board, procedure, known
+        Of the rig; the last is its `Rig.uncertainty`.
     run : str
         Name of the run whose exposures went in.
     exposures : int
@@ -55,7 +55,7 @@ class CalibrationData:
     identity: RigIdentity
     board: SpotBoard
     procedure: Procedure
-    uncertainty: KnownUncertainty
+    known: KnownUncertainty
     run: str
     exposures: int
     spots: tuple[Spots, ...]
@@ -111,7 +111,7 @@ class CalibrationData:
             identity=self.identity,
             board=self.board,
             procedure=self.procedure,
-            known=self.uncertainty,
+            known=self.known,
             run=self.run,
             exposures=self.exposures,
             figures={

@@ -88,8 +88,8 @@ def _uncertainty(
     steps = (np.array([1.0, 0.0]), np.array([0.0, 1.0]))
     by_pixel = np.stack([points_at_height(pixels + step, z, camera, pose) - points for step in steps], axis=-1)
     displacements[:, :2, 4:19] = -by_pixel[:, :2] @ data.camera.projected_errors(points)
-    displacements[:, :2, 19] = data.uncertainty.board_scale * points[:, :2]
-    displacements[:, :, 20:] = frame_drift(data.uncertainty, data.drift_share)
+    displacements[:, :2, 19] = data.known.board_scale * points[:, :2]
+    displacements[:, :, 20:] = frame_drift(data.known, data.drift_share)
     pattern = pixel_sd * np.linalg.norm(fitted_errors(heights, nodes[0]), axis=1)
     return CalibrationUncertainty(*nodes, essential(displacements), pattern)
 

@@ -65,7 +65,7 @@ def supported_calibration(
         phase_height=everywhere.within(z_range, np.isfinite(z_range[..., 0])),
         figures={**figures, **depth_figures(instrument, float(z_mm[used].min()), float(z_mm[used].max()))},
         residuals=data.posture_residuals(residuals_px, residuals_rad),
-        uncertainty=uncertainty_of_model(instrument, low, high, data.uncertainty, data.drift_share),
+        uncertainty=uncertainty_of_model(instrument, low, high, data.known, data.drift_share),
         instrument=instrument,
     )
 

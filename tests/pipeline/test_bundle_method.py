@@ -20,7 +20,7 @@ def test_a_plane_with_too_little_phase_is_named(plane, which):
         identity=anything,
         board=anything,
         procedure=anything,
-        uncertainty=anything,
+        known=anything,
         run="run",
         exposures=0,
         spots=(),

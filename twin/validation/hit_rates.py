@@ -17,7 +17,7 @@ class Agreement:
     distance : float
         Largest distance of the two empirical distribution functions.
     p_value : float
-        Exact chance of a larger one, if both are samples of one distribution.
+        Exact chance of one as large or larger, if both are samples of one distribution.
     """
 
     n: tuple[int, int]

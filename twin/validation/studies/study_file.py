@@ -30,7 +30,7 @@ def _seeds(value: Any) -> Any:
     )
     if isinstance(value, str):
         first, _, last = value.partition(" to ")
-        if not (first.isdigit() and last.isdigit() and int(last) < MAX_SEED):
+        if not (first.isdecimal() and last.isdecimal() and int(last) <= MAX_SEED):
             raise ValueError(allowed)
         value = list(range(int(first), min(int(last), int(first) + MAX_INSTRUMENTS) + 1))
     if type(value) is int and 1 <= value <= MAX_INSTRUMENTS:

@@ -40,6 +40,7 @@ START = 'name = "mine"\nkind = "cost"\n'
         (START + "seeds = 1\n[limits]\npaper.step_um = true", ["limits.paper.step_um", "number"]),
         (START + "seeds = 1\n[repeats]\nall = 3", ["repeats.all", "as set"]),
         (START + 'seeds = "9 to 3x"', ["seeds", "FIRST to LAST"]),
+        (START + 'seeds = "9 to 1²"', ["seeds", "FIRST to LAST"]),
         (START + "seeds = 1\n[instruments]\nall = 3", ["instruments.all", "as set"]),
         (START + 'seeds = 1\n[agree]\ne = ["as set", "all"]', ["agree.e.all", "as set"]),
         (START + 'seeds = 1\n[kinds]\n"as set" = "nothing"', ["kinds", "coverage"]),
@@ -67,6 +68,8 @@ def test_an_unknown_study_is_told_the_known_ones():
 def test_a_count_and_a_list_of_seeds(tmp_path):
     assert load_study(written(tmp_path, START + "seeds = 4")).seeds == (1, 2, 3, 4)
     assert load_study(written(tmp_path, START + "seeds = [7, 0]")).seeds == (7, 0)
+    last = load_study(written(tmp_path, START + 'seeds = "4294967294 to 4294967295"'))
+    assert last.seeds == (4294967294, 4294967295)
 
 
 def test_a_kind_that_fails_to_import_is_no_wrong_field(tmp_path, monkeypatch):
@@ -80,6 +83,7 @@ def test_a_kind_that_fails_to_import_is_no_wrong_field(tmp_path, monkeypatch):
 def test_built_in_studies_can_be_run(name):
     """Rig and twin take the settings of every case."""
     study = load_study(name)
+    assert study.name == name  # runs are named by it, and with it their noise
     planned = sum(
         study.repeats.get(case, 1) * len(study.instruments.get(case, study.seeds)) for case in study.all_cases
     )

@@ -39,6 +39,8 @@ class MappingDeviation:
         certified to measured.
     squareness : float
         By how much the angle between the instrument's axes, as they appear in a measurement, exceeds a right one, rad.
+    alpha_x_sd, alpha_y_sd, squareness_sd : float
+        Their standard deviations by the marks' scatter about the affine map, errors taken for independent.
     """
 
     n: int
@@ -51,6 +53,9 @@ class MappingDeviation:
     alpha_x: float
     alpha_y: float
     squareness: float
+    alpha_x_sd: float
+    alpha_y_sd: float
+    squareness_sd: float
 
 
 def mapping_deviation(measured: np.ndarray, certified: np.ndarray) -> MappingDeviation:
@@ -59,7 +64,9 @@ def mapping_deviation(measured: np.ndarray, certified: np.ndarray) -> MappingDev
     With positions as complex numbers about their means, the similarity of least squares is multiplication by
     Σ conj(certified) measured / Σ |certified|². Of the affine map's matrix M = P R, a rotation R followed by a
     symmetric P that stretches along axes of its own, P is what the instrument does: its diagonal is alpha_x and
-    alpha_y.
+    alpha_y. Marks with places c in the instrument's axes and a scatter of variance σ² along either axis give each row
+    of M the covariance σ² C with C = (Σ c cᵀ)⁻¹; to first order alpha_x has the variance σ² C_xx, alpha_y σ² C_yy, and
+    squareness, the sum of the two entries off the diagonal, σ² (C_xx + C_yy).
 
     Parameters
     ----------
@@ -93,8 +100,11 @@ def mapping_deviation(measured: np.ndarray, certified: np.ndarray) -> MappingDev
     lengths = np.hypot(*deviations[seen].T)
 
     affine = np.linalg.lstsq(start, to, rcond=None)[0].T
-    stretch_axes, stretches, _ = np.linalg.svd(affine)
+    stretch_axes, stretches, turned_axes = np.linalg.svd(affine)
     stretch = stretch_axes * stretches @ stretch_axes.T  # P of M = P R
+    variance = np.sum((to - start @ affine.T) ** 2) / (2 * n - 6)  # six parameters, the means among them
+    places = start @ (stretch_axes @ turned_axes).T
+    var_x, var_y = variance * np.diag(np.linalg.inv(places.T @ places))
     return MappingDeviation(
         n=n,
         of=len(measured),
@@ -106,6 +116,9 @@ def mapping_deviation(measured: np.ndarray, certified: np.ndarray) -> MappingDev
         alpha_x=float(stretch[0, 0]),
         alpha_y=float(stretch[1, 1]),
         squareness=float(_angle(*stretch.T) - np.pi / 2),
+        alpha_x_sd=float(np.sqrt(var_x)),
+        alpha_y_sd=float(np.sqrt(var_y)),
+        squareness_sd=float(np.sqrt(var_x + var_y)),
     )
 
 

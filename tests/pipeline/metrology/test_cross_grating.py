@@ -87,6 +87,23 @@ def test_scatter_of_scale_and_rms_are_those_of_the_marks_noise():
     assert abs(squares.mean() - 194) < 4.5 * np.sqrt(2 * 194 / repeats)
 
 
+@pytest.mark.parametrize("angle", [0.0, np.pi / 2])
+def test_stated_deviations_of_stretch_and_squareness_are_those_of_repeats(angle):
+    """Of 1000 gratings by an instrument that is stretched and skewed, which is no scatter.
+
+    Variances within chi2's limits at 1e-5; the stated ones, each of 192 degrees of freedom, average to a per cent.
+    """
+    rng, repeats = np.random.default_rng(4), 1000
+    instrument = np.array([[1.01, -5e-3], [-5e-3, 0.99]])
+    lying = GRATING @ turned(angle).T @ instrument.T
+    found = [mapping_deviation(lying + 1e-3 * rng.standard_normal((99, 2)), GRATING) for _ in range(repeats)]
+    low, high = chi2.ppf([0.5e-5, 1 - 0.5e-5], repeats - 1) / (repeats - 1)
+    for name in ("alpha_x", "alpha_y", "squareness"):
+        values = np.array([getattr(f, name) for f in found])
+        stated = np.mean([getattr(f, f"{name}_sd") ** 2 for f in found])
+        assert 0.98 * low < values.var(ddof=1) / stated < 1.02 * high, name
+
+
 def test_marks_that_were_not_measured_are_left_out_and_counted():
     measured = GRATING + np.array([3, 4])
     measured[[5, 60]] = np.nan

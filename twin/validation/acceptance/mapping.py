@@ -33,7 +33,7 @@ def mapping_rows(setup: Setup, advance: Callable[[float], None]) -> Iterator[Row
     try:
         spots = detect_spots(grating.phase_map.background, DRAWING)
     except BoardNotFound as error:
-        raise InputError(f"the cross grating was not found: {error}; lay it into the light.") from error
+        raise InputError(f"the marks of the cross grating were not found as those of a board are: {error}") from error
     yield from rows_of_marks(setup, grating, spots)
 
 
@@ -47,8 +47,8 @@ def rows_of_marks(setup: Setup, grating: Artefact, spots: Spots) -> Iterator[Row
         deviation = 1e3 * found.deviations[np.isfinite(found.deviations[:, k]), k]
         yield row(
             setup, f"mapping_d{axis}", deviation[np.argmax(np.abs(deviation))], "um", found.n,
-            f"the deviation of the largest magnitude along {axis}, of {found.of} marks; limit: the largest of N normal "
-            "deviates with the paper's scatter of a mark's place",
+            f"the deviation of the largest magnitude along {axis}, of {found.of} marks; limit: what is expected of the "
+            "largest of N normal deviates with the paper's scatter of a mark's place",
             limit=MARK_SD_UM * largest_sds, filter=FILTER, alignment=SIMILARITY,
         )  # fmt: skip
         yield row(
@@ -56,12 +56,13 @@ def rows_of_marks(setup: Setup, grating: Artefact, spots: Spots) -> Iterator[Row
             f"root mean square deviation along {axis}; limit: the paper's scatter of a mark's place",
             limit=MARK_SD_UM, filter=FILTER, alignment=SIMILARITY,
         )  # fmt: skip
-    for name, value, ideal in (
-        ("alpha_x", found.alpha_x, 1.0),
-        ("alpha_y", found.alpha_y, 1.0),
-        ("squareness_xy", found.squareness, 0.0),
+    for name, field, ideal in (
+        ("alpha_x", "alpha_x", 1.0),
+        ("alpha_y", "alpha_y", 1.0),
+        ("squareness_xy", "squareness", 0.0),
     ):
-        u = _standard_uncertainty(name, grating, marks, spots, certified, found)
+        value = getattr(found, field)
+        u = _standard_uncertainty(field, grating, marks, spots, certified, found)
         what = "measured over certified lengths" if ideal else "angle of the axes less a right one"
         against = "; peer: 1; its difference from 1 must keep to the limit" if ideal else "; limit"
         yield row(
@@ -72,11 +73,10 @@ def rows_of_marks(setup: Setup, grating: Artefact, spots: Spots) -> Iterator[Row
 
 
 def _standard_uncertainty(
-    name: str, grating: Artefact, marks: np.ndarray, spots: Spots, certified: np.ndarray, found: MappingDeviation
+    field: str, grating: Artefact, marks: np.ndarray, spots: Spots, certified: np.ndarray, found: MappingDeviation
 ) -> float:
-    """By the calibration, and by the scatter of the marks about the affine map."""
+    """Of one ``field`` of the mapping: by the calibration, and by the scatter of the marks about the affine map."""
     seen = np.isfinite(marks).all(axis=1)
-    field = {"alpha_x": "alpha_x", "alpha_y": "alpha_y", "squareness_xy": "squareness"}[name]
     uncertainty = grating.raw.uncertainty
     by_calibration = 0.0
     if uncertainty is not None:
@@ -84,6 +84,4 @@ def _standard_uncertainty(
             lambda xyz: getattr(mapping_deviation(in_plane(xyz), certified[seen]), field),
             marks[seen], spots.centres_px[seen], uncertainty, None, np.random.default_rng(0),
         ).calibration_sd  # fmt: skip
-    k = 1 if name == "alpha_y" else 0
-    spread = np.sqrt(np.sum((certified[seen, k] - certified[seen, k].mean()) ** 2))
-    return float(np.hypot(by_calibration, found.rms / np.sqrt(2) / spread))
+    return float(np.hypot(by_calibration, getattr(found, f"{field}_sd")))

@@ -13,8 +13,8 @@ COARSE = (
     "procedure.postures=10", "procedure.planes=10", "procedure.plane_step_mm=0.3",
 )  # fmt: skip
 
-COARSE_METAL = {"ball grid", "noise"}
-"""Over a pixel of 26 um the brightness of solder changes too much, and metal's noise is known to 2 % only."""
+COARSE_METAL = ("bga_", "noise_coin", "noise_bga")
+"""How names of rows about metal begin: over so coarse a pixel its brightness changes too much."""
 
 
 @pytest.fixture(scope="module")
@@ -37,9 +37,9 @@ def test_every_row_comes_and_the_exit_code_says_whether_all_hold(accepted):
 
 def test_all_but_metal_holds_on_coarse_pixels(accepted):
     _, table = accepted
-    names = {name for what, group in GROUPS.items() if what not in COARSE_METAL for name in group.names}
-    failed = [row for row in table["rows"] if row["name"] in names and row["holds"] is False]
-    assert not failed
+    judged = [row for row in table["rows"] if not row["name"].startswith(COARSE_METAL)]
+    assert [row for row in judged if row["holds"] is False] == []
+    assert sum(row["holds"] is True for row in judged) > len(judged) / 2
 
 
 def test_figures_have_their_uncertainty_and_peers_their_ratio(accepted):

@@ -34,6 +34,8 @@ STEADY = ("twin.stability.flicker=0", "twin.stability.vibration_um=0")
 """Overrides of a twin whose noise is that of single pixels."""
 
 RATIO_TOLERANCE = 0.05
+"""Of measured over stated noise: chosen, as the next one is."""
+
 BOUND_LIMIT = 1.05
 """Of the variance over the bound of Cramér and Rao."""
 

@@ -18,6 +18,9 @@ from ..evaluation import smooth
 from ..measured import noise_quantile
 from ..setup import NO_FILTER, Setup
 
+Measurand = Callable[[np.ndarray, np.ndarray], float]
+"""Of points (n, 3) and the flat indices (n,) of their pixels."""
+
 _POINTS = 1500  # that stand for all when the calibration's uncertainty is propagated
 
 
@@ -101,15 +104,10 @@ def expected_width(points: PointMap, where: np.ndarray, normals: np.ndarray) -> 
     return 2 * noise_quantile(np.abs(np.sum(noise * normals, axis=-1)))
 
 
-def calibration_sd(measurand: Callable[[np.ndarray, np.ndarray], float], points: PointMap, where: np.ndarray) -> float:
+def calibration_sd(measurand: Measurand, points: PointMap, where: np.ndarray) -> float:
     """Standard uncertainty by the calibration of a measurand of the points ``where`` (rows, cols), mm or what it is in.
 
-    Some points stand for all: the calibration's errors are smooth.
-
-    Parameters
-    ----------
-    measurand : callable
-        Of points (n, 3) and the flat indices (n,) of their pixels.
+    Some points stand for all: the calibration's errors are smooth. NaN if the calibration states none.
     """
     if points.uncertainty is None:
         return float("nan")

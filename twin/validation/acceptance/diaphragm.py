@@ -98,7 +98,8 @@ def _change(setup: Setup, one: str, first: _Film, other: str, second: _Film) -> 
     measured, true = stroke(first.state, second.state), stroke(first.true_state, second.true_state)
     yield row(
         setup, f"diaphragm_stroke_{one}_{other}", measured.stroke, "mm", sum(measured.n),
-        f"height of the centre, {other} less {one}; peer: the true one; limit of their difference: {CLAIM}",
+        f"height of the centre, {other} less {one}; u without the calibration's; peer: the true one; limit of their "
+        f"difference: {CLAIM}",
         limit=1e-3 * CLAIM_UM, judged=measured.stroke - true.stroke, peer=true.stroke, u=measured.sd,
         filter=first.filter, alignment=ALIGNMENT,
     )  # fmt: skip

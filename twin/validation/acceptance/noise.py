@@ -34,7 +34,7 @@ def row_of_pair(setup: Setup, repeated: Repeated, ending: str) -> Row:
     """Noise of two maps of one place."""
     found = noise_ratio(repeated, repeated.inside)
     judged = ending == STEADY_SUFFIX
-    limit = f"; what must keep to the limit is the ratio less 1, {RATIO_TOLERANCE:g} without flicker and vibration"
+    limit = "; what must keep to the limit, a chosen tolerance without flicker and vibration, is the ratio less 1"
     return row(
         setup, f"noise_{repeated.specimen}{repeated.suffix}{ending}", 1e3 * found.measured, "um", found.n,
         "N_M: two maps subtracted, over √2; peer: stated of the same points" + (limit if judged else ""),

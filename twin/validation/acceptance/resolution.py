@@ -17,7 +17,7 @@ TURNED_DEG = {"x": 0.0, "y": 90.0}
 NAMES = tuple(f"lateral_period_limit_{axis}{suffix}" for axis in TURNED_DEG for suffix in ("", "_filtered"))
 
 TOLERANCE = 0.05
-"""Of measured over predicted."""
+"""By how much the measured period may exceed the predicted one, as a share: chosen, not derived."""
 
 _STRIP_MM = 0.25  # across the relief: noise is not correlated over so much, with the filter neither
 _FROM_SIDES_MM = 0.1
@@ -43,7 +43,7 @@ def rows_of_chirp(setup: Setup, axis: str, chirp: Artefact) -> Iterator[Row]:
         yield row(
             setup, f"lateral_period_limit_{axis}{treated.suffix}", found.period, "mm", found.n,
             "period of which half the height is left; peer: by the calibration's point spread, the shading of slopes, "
-            "and the filter; what must keep to the limit is the ratio's excess over 1: the prediction's own tolerance",
+            "and the filter; what must keep to the limit, a chosen tolerance, is the ratio's excess over 1",
             limit=TOLERANCE, judged=max(found.period / predicted - 1, 0.0), peer=predicted, u=found.sd,
             filter=treated.filter,
         )  # fmt: skip

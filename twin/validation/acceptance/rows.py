@@ -2,7 +2,9 @@
 
 The instrument's claim is a depth accuracy of about 4 um in its volume: 95 % of the errors stay within ± 4 um. From it
 follow the limits of lengths and of the spread of points: the central 95 % within 8 um, and all N points within what N
-normal deviates with the same central 95 % span. No limit was chosen after what was measured.
+normal deviates with the same central 95 % span. The other limits come from the paper, from drawings, from standard
+uncertainties, or are tolerances that were chosen; each row's criterion says which. One rule was made after a run had
+failed without it: which diameters of balls are judged at all, `ball_grid.LEAST_CAP_DEG`.
 """
 
 import math
@@ -41,8 +43,9 @@ class Row:
     holds : bool or None
         None without a limit.
     u : float or None
-        Standard uncertainty of the value, in ``unit``, predicted conditional on the models of noise and calibration;
-        what an artefact's certificate adds is none.
+        Standard uncertainty of the value, in ``unit``, by the points' scatter or stated noise, whose errors are taken
+        for independent, and by the calibration unless the criterion says that it is left out. It is predicted,
+        conditional on the models of both; an artefact's certificate adds none.
     n : int
         Points, marks or other values that it was made from.
     filter, alignment, calibration : str

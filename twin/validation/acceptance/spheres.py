@@ -12,7 +12,7 @@ from greenough.instrument.contract import Placement
 from greenough.pipeline.metrology.sphere import Sphere, fit_sphere, probing_error, spacing_error
 
 from ..setup import Setup
-from .artefacts import Artefact, Treated, calibration_sd, expected_width, measure
+from .artefacts import Artefact, Measurand, Treated, calibration_sd, expected_width, measure
 from .rows import CLAIM, CLAIM_UM, Row, range_limit_um, row
 
 CAP_DEG = 60.0
@@ -135,7 +135,7 @@ def _certified(artefact: Artefact, ball: int) -> tuple[np.ndarray, float]:
     return artefact.in_world(built["sphere_centres_mm"][ball]), float(built["sphere_diameters_mm"][ball]) / 2
 
 
-def _distance(caps: Sequence[np.ndarray]):
+def _distance(caps: Sequence[np.ndarray]) -> Measurand:
     """Distance of two spheres' centres, from points of both and the flat indices of their pixels."""
     of_first = caps[0].ravel()
 

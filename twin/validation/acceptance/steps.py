@@ -10,7 +10,7 @@ from greenough.pipeline.metrology.step_height import StepHeight, groove_sides, s
 from greenough.scenes.step_gauge import GROOVES_MM, RIDGES_MM
 
 from ..setup import Setup
-from .artefacts import Artefact, calibration_sd, measure
+from .artefacts import Artefact, Measurand, calibration_sd, measure
 from .rows import CLAIM, CLAIM_UM, Row, row
 
 STEPS = tuple(
@@ -83,12 +83,12 @@ def _step(points: np.ndarray, sides: np.ndarray) -> StepHeight:
     return step_height(points[:, :2], points[:, 2], sides)
 
 
-def _height(gauge: Artefact, sides: np.ndarray):
+def _height(gauge: Artefact, sides: np.ndarray) -> Measurand:
     """Height of a step from points of the calibrated frame and the flat indices of their pixels."""
     return lambda xyz, pixels: _step(gauge.in_part(xyz), sides.ravel()[pixels]).height
 
 
-def _alpha(gauge: Artefact, all_sides: Sequence[np.ndarray], certified: np.ndarray):
+def _alpha(gauge: Artefact, all_sides: Sequence[np.ndarray], certified: np.ndarray) -> Measurand:
     """Slope of measured over certified heights from the same, ``all_sides`` of each step."""
     heights = [_height(gauge, sides) for sides in all_sides]
     return lambda xyz, pixels: amplification(certified, np.array([-of(xyz, pixels) for of in heights])).alpha

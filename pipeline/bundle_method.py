@@ -37,7 +37,7 @@ def calibrate_by_bundle(data: CalibrationData) -> Calibration:
     _check(blocks)
     readings = np.concatenate([[0.0], data.readings_mm])
     observed = BundleData(data.spots, data.spot_phases, blocks)
-    bundle = solve_bundle(observed, data.camera, data.board, readings, path_drift(data))
+    bundle = solve_bundle(observed, data.camera, data.board, readings, data.path_drift_mm2)
 
     def surface(k: int, xy: np.ndarray) -> np.ndarray:
         return bundle.plane_height(k + 1, xy)
@@ -77,12 +77,6 @@ def calibrate_by_bundle(data: CalibrationData) -> Calibration:
         uncertainty=uncertainty_of_model(instrument, low, high, data.known, data.drift_share),
         instrument=instrument,
     )
-
-
-def path_drift(data: CalibrationData) -> np.ndarray:
-    """Covariance (postures, postures) mm² of a random walk along the postures, that of min(t, t') per unit of time."""
-    time = data.exposures_at_postures / data.procedure.exposures
-    return data.known.path_drift_mm**2 * np.minimum.outer(time, time)
 
 
 def _check(planes: tuple[PlaneBlocks, ...]) -> None:

@@ -19,6 +19,7 @@ from .fringes import FringeSet
 from .imaging_path import ImagingPath
 from .instrument_model import InstrumentModel
 from .legendre_field import DepthField
+from .path_drift import along_ray_per_shift, walked_mm
 from .phase_height import PhaseHeight
 from .point_spread import PointSpread
 from .projector_model import ProjectorModel
@@ -26,8 +27,6 @@ from .rays import Rays
 
 KIND = "greenough calibration"
 VERSION = 3
-
-_WINDOW_PX = 8  # to either side of the middle, where the fringes' density is taken
 
 Method = Literal["paper", "bundle", "stage-free", "triangulation"]
 
@@ -154,27 +153,9 @@ class Calibration:
         return self.uncertainty if exposures == 0 else self.uncertainty.joined(self.path_drift(exposures)[None])
 
     def path_drift(self, exposures: int) -> np.ndarray:
-        """What the path's drift over so many exposures moves points by, (3,) mm: one standard deviation.
-
-        A drift δ moves the fringes across the specimen, and with them each point along its ray, by δ |dΦ/dx| dz/dΦ in
-        height; over the narrow field this hardly varies.
-        """
-        walked = np.sqrt(exposures / self.procedure.exposures)
-        return self.known.path_drift_mm * walked * self._along_ray_per_shift()
-
-    def _along_ray_per_shift(self) -> np.ndarray:
-        """What a unit shift of the fringes across the specimen moves a point by, (3,), in the middle of the picture."""
-        calibrated = np.argwhere(self.phase_height.valid)
-        v, u = calibrated[np.argmin(np.sum((calibrated - calibrated.mean(axis=0)) ** 2, axis=1))]
-        window = slice(max(0, v - _WINDOW_PX), v + _WINDOW_PX + 1), slice(max(0, u - _WINDOW_PX), u + _WINDOW_PX + 1)
-        relation = self.phase_height.of_pixels(window)
-        phase = relation.phase(np.zeros(relation.shape))
-        xy = self.rays.origin[window].reshape(-1, 2)
-        plane = np.column_stack([np.ones(len(xy)), xy])
-        known = np.isfinite(phase).ravel()
-        _, *density = np.linalg.lstsq(plane[known], phase.ravel()[known], rcond=None)[0]
-        rise = float(np.hypot(*density) * np.nanmean(relation.slope(phase)))
-        return rise * np.array([*self.rays.slope[v, u], 1.0])
+        """What the path's drift over so many exposures moves points by, (3,) mm: one standard deviation."""
+        walked = walked_mm(self.known, self.procedure, exposures)
+        return walked * along_ray_per_shift(self.rays, self.phase_height)
 
     def check_shape(self, shape: tuple[int, ...]) -> None:
         """Raise InputError if ``shape`` is not the calibrated camera's (rows, cols)."""

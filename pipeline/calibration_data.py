@@ -14,6 +14,7 @@ from .calibration_uncertainty import CalibrationUncertainty
 from .camera_calibration import CameraCalibration
 from .camera_model import CameraModel
 from .instrument_model import InstrumentModel
+from .path_drift import walk_covariance
 from .phase_height import PhaseHeight
 from .point_spread import PointSpread
 from .rays import Rays
@@ -77,6 +78,11 @@ class CalibrationData:
     def drift_share(self) -> float:
         """Exposures before the flat posture, which defines the world's frame, over those of a whole calibration."""
         return float(self.exposures_at_postures[self.camera.reference] / self.procedure.exposures)
+
+    @property
+    def path_drift_mm2(self) -> np.ndarray:
+        """Covariance (postures, postures) of how far the projected picture had drifted in each posture."""
+        return walk_covariance(self.known, self.procedure, self.exposures_at_postures)
 
     def posture_residuals(self, spots_px: np.ndarray, spot_phases_rad: np.ndarray) -> Residuals:
         """Residuals (postures, spots, 2) and (postures, spots) of a method without planes."""

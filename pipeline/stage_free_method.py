@@ -4,7 +4,7 @@ import numpy as np
 
 from .bundle import solve_bundle
 from .bundle_data import BundleData
-from .bundle_method import path_drift, posture_figures
+from .bundle_method import posture_figures
 from .calibration import Calibration
 from .calibration_data import CalibrationData
 from .posture_support import supported_calibration
@@ -23,7 +23,7 @@ def calibrate_by_postures(data: CalibrationData) -> Calibration:
         If there are too few phases at spots, or they do not determine the projector.
     """
     observed = BundleData(data.spots, data.spot_phases, ())
-    bundle = solve_bundle(observed, data.camera, data.board, np.empty(0), path_drift(data))
+    bundle = solve_bundle(observed, data.camera, data.board, np.empty(0), data.path_drift_mm2)
     poses, spots = bundle.state.world_from_board, bundle.state.spots(bundle.board)
     return supported_calibration(
         "stage-free",

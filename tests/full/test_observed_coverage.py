@@ -8,7 +8,7 @@ from greenough.twin.validation.observed_captures import observed_coverage
 
 COARSE = [
     "camera.rows=360", "camera.cols=480", "twin.optics.camera_focal_px=8506.125", "twin.render.nodes_edges=16",
-    "procedure.postures=8", "procedure.planes=5", "procedure.plane_step_mm=0.6",
+    "procedure.postures=8", "procedure.planes=8", "procedure.plane_step_mm=0.4",
 ]  # fmt: skip
 
 

@@ -13,7 +13,8 @@ from greenough.instrument.rigfile import load_rig_file
 from greenough.pipeline.acquisition import calibrate
 from greenough.pipeline.bundle import solve_bundle
 from greenough.pipeline.calibration_uncertainty import CalibrationUncertainty, uncertainty_of_model
-from greenough.pipeline.instrument_model import InstrumentModel
+from greenough.pipeline.path_drift import along_ray_per_shift, walk_covariance, walked_mm
+from greenough.pipeline.pixel_maps import model_maps
 
 from ..instability import Instability
 from ..quadrature import nodes_of_direct_light
@@ -115,11 +116,13 @@ def observed_captures(rig_name: str, overrides: Sequence[str], run: str, noise: 
     instrument = build(rig_file, settings, run)
     calibrating = observe(instrument, noise, rng)
     known, procedure, board = rig_file.uncertainty.contract, rig_file.procedure.contract, rig_file.board.nominal
-    time = calibrating.exposures_at_postures / procedure.exposures
-    drift = known.path_drift_mm**2 * np.minimum.outer(time, time)
+    drift = walk_covariance(known, procedure, calibrating.exposures_at_postures)
     bundle = solve_bundle(calibrating.data, calibrating.camera, board, calibrating.readings_mm, drift)
     model, heights = bundle.state.instrument, bundle.state.planes[1:, 0]
-    uncertainty = uncertainty_of_model(model, float(heights.min()), float(heights.max()), known, float(time[-1]))
+    low, high = float(heights.min()), float(heights.max())
+    drift_share = float(calibrating.exposures_at_postures[-1] / procedure.exposures)
+    uncertainty = uncertainty_of_model(model, low, high, known, drift_share)
+    along_ray = along_ray_per_shift(*model_maps(model, low, high))
 
     stability = Instability(settings.stability, settings.seed, f"{run} measured", instrument.instability.exposures)
     measuring = replace(instrument, instability=stability)
@@ -130,8 +133,7 @@ def observed_captures(rig_name: str, overrides: Sequence[str], run: str, noise: 
 
     def stated() -> CalibrationUncertainty:
         """With the drift of the paths until the present capture is done."""
-        walked = known.path_drift_mm * np.sqrt((serial + frames) / procedure.exposures)
-        return uncertainty.joined(walked * along_ray_per_shift(model)[None])
+        return uncertainty.joined(walked_mm(known, procedure, serial + frames) * along_ray[None])
 
     def seen(pixels: np.ndarray, relief: Relief, nodes: Nodes) -> Points:
         """Points of single pixels of what is mounted."""
@@ -159,7 +161,7 @@ def observed_captures(rig_name: str, overrides: Sequence[str], run: str, noise: 
         planes.append(_over_board(points, board.size_mm / 2))
         lie.append(plane_height(true_pose()))
         serial += frames
-    walk = known.path_drift_mm * np.sqrt(frames / procedure.exposures) * along_ray_per_shift(model)[2]
+    walk = walked_mm(known, procedure, frames) * along_ray[2]
 
     bench.position = 0.0
     bench.place(Placement("sphere"))
@@ -198,15 +200,6 @@ def observed_captures(rig_name: str, overrides: Sequence[str], run: str, noise: 
         printed=bench.mounted.specimen.as_built["centres_mm"],
         board=board,
     )
-
-
-def along_ray_per_shift(model: InstrumentModel) -> np.ndarray:
-    """What a unit shift of the fringes across the specimen moves a point by, (3,), in the middle."""
-    at = np.zeros((1, 3))
-    _, pixel_by_point, _ = model.camera.linearise(at)
-    _, phase_by_point, _ = model.projector.linearise(at)
-    slopes = np.concatenate([pixel_by_point[0], phase_by_point])
-    return np.linalg.solve(slopes, [0.0, 0.0, float(np.hypot(*phase_by_point[0, :2]))])
 
 
 def _grid(shape: tuple[int, int], across: int) -> np.ndarray:

@@ -118,9 +118,14 @@ def block_averages(image: np.ndarray) -> PlaneBlocks:
     return PlaneBlocks(np.stack([u[enough], v[enough]], axis=-1), phase[enough])
 
 
+def block_side(cols: int) -> int:
+    """Pixels along the side of a block, in a picture of so many columns."""
+    return max(1, cols // _GRID_COLS)
+
+
 def block_map(image: np.ndarray) -> np.ndarray:
     """Means (grid rows, grid cols) over the blocks of `block_averages`, NaN where too few pixels are valid."""
-    side = max(1, image.shape[1] // _GRID_COLS)
+    side = block_side(image.shape[1])
     rows, cols = (n // side for n in image.shape)
     blocks = image[: rows * side, : cols * side].reshape(rows, side, cols, side).astype(float)
     valid = np.isfinite(blocks)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import RectBivariateSpline
 
-from .bundle_data import block_map
+from .bundle_data import block_map, block_side
 from .instrument_model import InstrumentModel
 from .jit import dr
 from .phase_height import MISFIT_RAD, PhaseHeight, fit_phase_height
@@ -84,8 +84,8 @@ class PlaneResiduals:
 def plane_residuals(relation: PhaseHeight, rays: Rays, phases: np.ndarray, surface: Surface) -> PlaneResiduals:
     """Compare planes, whose absolute phases are (planes, rows, cols) with NaN where invalid, with a relation."""
     rows, cols = relation.shape
-    grid_rows, grid_cols = block_map(phases[0]).shape
-    side = cols // grid_cols
+    side = block_side(cols)
+    grid_rows, grid_cols = rows // side, cols // side
     blocks = np.full((len(phases), grid_rows, grid_cols), np.nan, dtype=np.float32)
     pixels = np.empty((rows, cols), dtype=np.float32)
     count = np.empty((rows, cols), dtype=int)

@@ -24,6 +24,9 @@ from ..settings import OpticsSettings, TwinSettings
 
 PUPIL_NODES = 16  # as the plugins have it: how softly a rim cuts
 
+STAGGER = 0.25
+"""Columns by which the middle of the array lies beside that of its even rows: odd ones stand half a column further."""
+
 
 @dataclass(frozen=True, eq=False)
 class Nodes:
@@ -90,7 +93,7 @@ def light_paths(rig_file: RigFile, settings: TwinSettings) -> LightPaths:
     centre = np.array([(cols - 1) / 2, (rows - 1) / 2])
     mirror_rows, mirror_cols = rig_file.projector.shape
     pitch = 1e-3 * np.array([optics.column_pitch_um, optics.row_pitch_um])
-    middle = np.array([(mirror_cols - 1) / 2 + 0.25, (mirror_rows - 1) / 2])  # of the staggered array
+    middle = np.array([(mirror_cols - 1) / 2 + STAGGER, (mirror_rows - 1) / 2])
     lean = np.radians(optics.convergence_deg) / 2
     if optics.glass:
         camera = assembled("camera", float(-lean), settings.assembly, settings.seed)

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from greenough.instrument.contract import BLANK, Placement
 from greenough.instrument.rigfile import RigFile
 from greenough.pipeline.acquisition import RIM_PX
-from greenough.pipeline.bundle_data import BundleData, PlaneBlocks, SpotPhases, block_map
+from greenough.pipeline.bundle_data import BundleData, PlaneBlocks, SpotPhases, block_side
 from greenough.pipeline.camera_calibration import CameraCalibration, calibrate_camera
 from greenough.pipeline.spots import Spots
 from greenough.scenes.board import PrintedBoard, blank_height, ceramic_height
@@ -29,30 +29,33 @@ from ..scene import NODES_FLAT
 from ..settings import TwinSettings
 from ..stage import rigid
 from ..workbench import Workbench
-from .light_paths import LightPaths, Nodes, light_paths, renderer_nodes
+from .light_paths import STAGGER, LightPaths, Nodes, light_paths, renderer_nodes
 
 EXPOSING = 2  # white frames until an exposure is set
 RIM_POINTS = 6  # of a spot's circle
 _STEP = 1e-3  # mm or px of differences
 _SPOT_MARGIN_PX = 6  # of ink around a spot that is measured
 _INTERSECTIONS = 4
-_STAGGER = 0.25  # columns: even and odd rows of mirrors show a pattern between them
 
 
 @dataclass(frozen=True)
 class Noise:
-    """Standard deviations of what is measured on full resolution.
+    """Standard deviations of what is measured.
 
-    By default those of the rendered default rig: of its bundles' residuals at spots, less what the fits take over, and
-    of the phases of single pixels.
+    Parameters
+    ----------
+    centre_px : float
+        Of one coordinate of a spot's centre.
+    spot_phase_rad : float
+        Of the phase at a spot.
+    pixel_phase_rad : float
+        Of the phase of a single pixel.
     """
 
     centre_px: float
     spot_phase_rad: float
     pixel_phase_rad: float
 
-
-NOISELESS = Noise(0.0, 0.0, 0.0)
 
 Relief = Callable[[np.ndarray], np.ndarray]
 """Height (n,) of a surface over (n, 2) x, y in its own frame."""
@@ -83,8 +86,6 @@ class Instrument:
 
 def build(rig_file: RigFile, settings: TwinSettings, run: str) -> Instrument:
     """The instrument that ``greenough.twin.open`` would open."""
-    procedure = rig_file.procedure
-    exposures = (procedure.postures + procedure.planes) * sum(procedure.steps)
     tables = (nodes_of_direct_light(count) for count in (NODES_FLAT, settings.render.nodes_edges))
     flat, edge = (renderer_nodes(table, settings) for table in tables)
     return Instrument(
@@ -92,7 +93,7 @@ def build(rig_file: RigFile, settings: TwinSettings, run: str) -> Instrument:
         settings,
         Workbench(rig_file, settings),
         light_paths(rig_file, settings),
-        Instability(settings.stability, settings.seed, run, exposures),
+        Instability(settings.stability, settings.seed, run, rig_file.procedure.contract.exposures),
         flat,
         edge,
     )
@@ -134,7 +135,7 @@ def phase_of(instrument: Instrument, surface: Surface, pixels: np.ndarray, nodes
     rows, cols = instrument.rig_file.projector.shape
     row = mirror[:, 1].reshape(n, count)
     lit = np.all((column > 0) & (column < cols - 1) & (row > 0) & (row < rows - 1), axis=1)
-    phase = instrument.rad_per_column * (middle + surface.column_shift - _STAGGER) + np.angle(phasor)
+    phase = instrument.rad_per_column * (middle + surface.column_shift - STAGGER) + np.angle(phasor)
     return np.where(lit, phase, np.nan)
 
 
@@ -315,7 +316,7 @@ def see_blank(instrument: Instrument, serial: int, noise: Noise, rng: np.random.
         path_shift(instrument, serial),
     )
     rows, cols = instrument.rig_file.camera.shape
-    side = cols // block_map(np.zeros((rows, cols))).shape[1]
+    side = block_side(cols)
     v, u = np.meshgrid(*((np.arange(n // side) + 0.5) * side - 0.5 for n in (rows, cols)), indexing="ij")
     pixels = np.stack([u.ravel(), v.ravel()], axis=-1)
     half = 0.25 * side + RIM_PX  # a block counts from three quarters on

@@ -18,7 +18,8 @@ from greenough.pipeline.jit import Float
 from greenough.pipeline.phase_shifting import estimate_phasor
 from greenough.twin.validation.measured_noise import STEADY
 
-MM_PER_RAD = 12 * 17.835e-3 / (2 * np.pi) / (2 * np.sin(np.radians(6)))
+EQUAL_LIGHT_WEIGHT = PAPER.steps[-2] / PAPER.steps[-1] * (PAPER.periods[-1] / PAPER.periods[-2]) ** 2
+"""Of the coarser set, if both have the same modulation and noise of grey values."""
 
 
 def combined(frames, variance) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -46,7 +47,10 @@ def combined(frames, variance) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize("specimen", ["plane", "bga"])
 def test_the_next_coarser_set_takes_a_few_per_cent_of_the_variance_and_shifts_solder(specimen, figure):
-    rig, _ = gt.open("twin", STEADY, run="coarse sets")
+    rig, bench = gt.open("twin", STEADY, run="coarse sets")
+    optics = bench.settings.optics
+    period_mm = PAPER.periods[-1] * 1e-3 * optics.column_pitch_um
+    mm_per_rad = period_mm / (2 * np.pi) / (2 * np.sin(np.radians(optics.convergence_deg / 2)))
     patterns = PAPER.patterns(*rig.projector.shape)
     with rig:
         rig.operator.place(Placement(specimen))
@@ -54,10 +58,10 @@ def test_the_next_coarser_set_takes_a_few_per_cent_of_the_variance_and_shifts_so
         pair = [capture_bracketed(rig, patterns, (1.0,) if specimen == "plane" else (4.0, 1.0)) for _ in range(2)]
     (first, weight, valid), (second, _, also) = (combined(merged.frames, merged.variance) for merged in pair)
     seen = valid & also
-    assert np.median(weight[seen]) == pytest.approx(4 / 12 * 0.3**2, rel=0.35)
+    assert np.median(weight[seen]) == pytest.approx(EQUAL_LIGHT_WEIGHT, rel=0.35)
     gain = 1 - np.sqrt(1 - np.median(weight[seen]))
     product = (first[seen] - first[seen].mean()) * (second[seen] - second[seen].mean())
-    shift_um = 1e3 * MM_PER_RAD * float(np.sqrt(max(0.0, product.mean())))
+    shift_um = 1e3 * mm_per_rad * float(np.sqrt(max(0.0, product.mean())))
     figure(f"{specimen}: noise less by the set of {PAPER.periods[-2]:g} columns", 100 * gain, np.inf, "%")
     figure(f"{specimen}: systematic error more by it", shift_um, np.inf, "um")
     if specimen == "bga":

@@ -85,15 +85,13 @@ def _lengths(
     """Mean and 95 % of the balls' ``errors`` (balls,) mm, NaN of none; without a ``tolerance`` they only report."""
     counts = np.isfinite(errors)
     error, n = 1e3 * errors[counts], int(counts.sum())
-    limit, origin = None, (
-        f"not judged, as caps under {LEAST_CAP_DEG:g} degrees do not determine it: a rule that was made after a run "
-        "had failed without it"
-    )
-    if tolerance is not None:
-        limit, origin = (
-            1e3 * GAUGE_SHARE * tolerance,
-            f"limit: a tenth of the drawing's tolerance of {1e3 * tolerance:g} um",
+    limit = None if tolerance is None else 1e3 * GAUGE_SHARE * tolerance
+    if tolerance is None:
+        origin = (
+            f"not judged, as caps under {LEAST_CAP_DEG:g} degrees do not determine it: a rule made after a run failed"
         )
+    else:
+        origin = f"limit: a tenth of the drawing's tolerance of {1e3 * tolerance:g} um"
     mean, p95 = (float(error.mean()), float(np.quantile(np.abs(error), 0.95))) if n else (np.nan, np.nan)
     u = 1e3 * float(np.sqrt(np.sum(sd[counts] ** 2)) / n) if n else None
     for suffix, value, of, of_u in (

@@ -75,8 +75,10 @@ def diaphragm_rows(setup: Setup, advance: Callable[[float], None]) -> Iterator[R
 
 
 def rows_of_states(setup: Setup, states: Mapping[str, Artefact]) -> Iterator[Row]:
-    """Profiles of each state, and what changes from one to another, by filtered points."""
+    """What changes from one state to another, and profiles of each, by filtered points."""
     films = {state: _Film.of(found, found.treated[-1], DEFLECTION_MM[state]) for state, found in states.items()}
+    for one, other in PAIRS:
+        yield from _change(setup, one, films[one], other, films[other])
     for state, film in films.items():
         for line, (index, of, profile) in PROFILES.items():
             at = index * film.points.valid.shape[0 if line == "row" else 1] // of
@@ -90,8 +92,6 @@ def rows_of_states(setup: Setup, states: Mapping[str, Artefact]) -> Iterator[Row
                 f"of it missing; limit: {CLAIM}",
                 limit=CLAIM_UM, filter=film.filter, alignment=ALIGNMENT,
             )  # fmt: skip
-    for one, other in PAIRS:
-        yield from _change(setup, one, films[one], other, films[other])
 
 
 def _change(setup: Setup, one: str, first: _Film, other: str, second: _Film) -> Iterator[Row]:

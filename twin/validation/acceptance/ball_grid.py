@@ -87,9 +87,7 @@ def _lengths(
     error, n = 1e3 * errors[counts], int(counts.sum())
     limit = None if tolerance is None else 1e3 * GAUGE_SHARE * tolerance
     if tolerance is None:
-        origin = (
-            f"not judged, as caps under {LEAST_CAP_DEG:g} degrees do not determine it: a rule made after a run failed"
-        )
+        origin = f"not judged under caps of {LEAST_CAP_DEG:g} degrees, a rule that was made after a run had failed"
     else:
         origin = f"limit: a tenth of the drawing's tolerance of {1e3 * tolerance:g} um"
     mean, p95 = (float(error.mean()), float(np.quantile(np.abs(error), 0.95))) if n else (np.nan, np.nan)

@@ -21,6 +21,7 @@ from .deconvolution import deconvolve_phasors
 from .exposure import auto_exposure, capture_bracketed
 from .fringes import FringeSet
 from .paper_method import calibrate_by_paper
+from .phase_height import MIN_PLANES
 from .phasor_filter import filter_phasors
 from .point_spread import estimate_point_spread
 from .reconstruct import PointMap, reconstruct
@@ -119,8 +120,9 @@ def calibrate_by_methods(
     Raises
     ------
     InputError
-        If ``OUT.partial`` belongs to another rig, settings or run, the planes lie outside the stage's limits, the flat
-        board or too many tilted ones were not found, the postures are all parallel, or a method lacks data.
+        If ``OUT.partial`` belongs to another rig, settings or run, the planes are too few or lie outside the stage's
+        limits, the flat board or too many tilted ones were not found, the postures are all parallel, or a method lacks
+        data.
     """
     with_planes: list[Method] = [method for method in outs if METHODS[method].needs_planes]
     without_planes: list[Method] = [method for method in outs if not METHODS[method].needs_planes]
@@ -300,9 +302,14 @@ def plane_heights(rig: Rig) -> np.ndarray:
     Raises
     ------
     InputError
-        If they do not lie within the stage's limits.
+        If they are too few for any method, or do not lie within the stage's limits.
     """
     procedure = rig.procedure
+    if procedure.planes < MIN_PLANES:
+        raise InputError(
+            f"a calibration with planes needs at least {MIN_PLANES} of them, and the rig file states "
+            f"{procedure.planes}: raise procedure.planes, or calibrate by a method without planes."
+        )
     heights = (np.arange(procedure.planes) - (procedure.planes - 1) / 2) * procedure.plane_step_mm
     low, high = rig.stage.limits_mm
     if heights[0] < low or heights[-1] > high:

@@ -410,6 +410,14 @@ def test_planes_beyond_the_stage_are_refused_before_anything_moves(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_too_few_planes_are_refused_before_anything_moves(tmp_path):
+    procedure = replace(PROCEDURE, planes=7)
+    with PlainRig(procedure=procedure) as rig, pytest.raises(InputError, match=r"at least 8 .* states 7: raise"):
+        calibrate(rig, tmp_path / "cal.h5")
+    assert rig.placed == []
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_the_rim_of_the_light_is_left_out_of_every_plane(undisturbed):
     relation = undisturbed[0].phase_height
     counted = 0

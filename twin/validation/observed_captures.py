@@ -58,7 +58,7 @@ NOISE_SEED = 0
 def observed_coverage(
     rig_name: str, overrides: Sequence[str], run: str, advance: Callable[[float], None]
 ) -> list[Figures]:
-    """As `coverage.coverage`, on the level of observations; ``advance`` is called with 1 at the end.
+    """As `rendered_captures.rendered_coverage`, on the level of observations; ``advance`` is called with 1 at the end.
 
     The noise is that of one rendered instrument with the same settings, which is not among those of a study.
     """

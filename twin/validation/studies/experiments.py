@@ -12,7 +12,7 @@ steps of progress. It raises InputError where this draw cannot be calibrated or 
 
 KINDS = {
     "calibrations": "greenough.twin.validation.calibration_comparison:comparison_figures",
-    "coverage": "greenough.twin.validation.coverage:coverage",
+    "coverage": "greenough.twin.validation.rendered_captures:rendered_coverage",
     "coverage-observed": "greenough.twin.validation.observed_captures:observed_coverage",
     "cost": "greenough.twin.validation.cost:cost_figures",
     "negative-controls": "greenough.twin.validation.negative_controls:control_figures",

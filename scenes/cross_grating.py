@@ -1,7 +1,8 @@
 """A grating of dots whose places are known, for the mapping of x and y: other pitch and size than the board's.
 
-White dots in a dark ink on ceramic, printed better than a calibration board and certified dot by dot. Frame and order
-of the dots are those of `greenough.scenes.board`; five large ones tell where the grating's middle is.
+White dots in a dark ink on ceramic, whose places scatter less than on a calibration board and are certified dot by
+dot. Frame and order of the dots are those of `greenough.scenes.board`; five large ones tell where the grating's middle
+is.
 """
 
 import numpy as np

@@ -42,7 +42,7 @@ BOUND_LIMIT = 1.05
 MODULATION_CLASSES = 5
 SLOPES_DEG = (0.0, 10.0, 20.0, 30.0, 45.0, 90.0)
 LEAST_PIXELS = 1000
-"""Of a class that has a row: their noise is known to 2 % or better."""
+"""Of a class that has a row, whose ``predicted_sd`` says how well their noise is known."""
 
 _LIGHT_LEVELS = 200  # between which the information of a grey value is interpolated
 _AT_ONCE = 50_000  # pixels

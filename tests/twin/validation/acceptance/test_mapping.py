@@ -56,7 +56,19 @@ def test_one_mark_that_is_seen_aside_fails_along_its_axis_alone(grating):
 def test_a_stretched_axis_fails_by_its_amplification(grating):
     found = grating(lambda marks: marks * [1 + 1e-3, 1], scale_sd=3e-5)
     assert found["alpha_x"].value == pytest.approx(1 + 1e-3, abs=1e-6)
+    assert found["alpha_x"].u == pytest.approx(3e-5, rel=0.05)  # what the axis errs by does not excuse it
     assert found["alpha_x"].holds is False
+
+
+def test_a_skewed_axis_fails_by_the_squareness(grating):
+    found = grating(lambda marks: marks + marks[:, ::-1] * [4e-4, 0])
+    assert found["squareness_xy"].value == pytest.approx(-4e-4, abs=2e-6)
+    assert found["squareness_xy"].holds is False
+    assert found["alpha_x"].value == pytest.approx(1, abs=1e-6)
+
+
+def test_what_a_similarity_cannot_take_out_of_a_stretch_is_deviation(grating):
+    found = grating(lambda marks: marks * [1 + 1e-3, 1])
     # What a similarity cannot take out: half of it along x, minus half along y.
     assert found["mapping_dx_rms"].value > 0.5
 

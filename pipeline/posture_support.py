@@ -5,6 +5,8 @@ interpolates, and beyond them polynomials run away. So a pixel is calibrated ove
 the convex hull of all spots with a phase, as points (u, v, z). Every spot stands for half a pitch around it, as far as
 to the middle between it and its neighbour.
 
+As by every method, `reconstruct` gives points half a step of the planes beyond.
+
 Over the middle of the field tilted boards support heights as far as their edges reach on either side, though no spot
 may have been there: it lies between spots. Towards the rim of the field the hull is thinner.
 """

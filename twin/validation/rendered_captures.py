@@ -104,13 +104,13 @@ def _sampled(points: PointMap, every: float) -> Points:
 
 def _measured_spots(setup: Setup) -> Points:
     """Where the spots lie by their centres and phases, and what the calibration's own residuals say of their noise."""
-    instrument, figures = setup.calibration.instrument, setup.calibration.figures
+    instrument, noise_of = setup.calibration.instrument, setup.calibration.figures
     assert instrument is not None
     phase_map = setup.capture()
     spots = detect_spots(phase_map.background, setup.calibration.board)
     phases = measure_spot_phases(phase_map, spots)
     xyz = points_of(instrument, spots.centres_px, phases.phase_rad)
-    sigma_px = np.hypot(spots.sigma_px, figures["spot_noise_px"])
-    sigma_rad = np.hypot(phases.sigma_rad, figures["spot_phase_noise_rad"])
+    sigma_px = np.hypot(spots.sigma_px, noise_of["spot_noise_px"])
+    sigma_rad = np.hypot(phases.sigma_rad, noise_of["spot_phase_noise_rad"])
     noise = noise_of_spots(instrument, np.nan_to_num(xyz), sigma_px, sigma_rad)
     return Points(xyz, spots.centres_px, noise, setup.calibration.uncertainty_after(phase_map.exposures))

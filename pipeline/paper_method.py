@@ -72,24 +72,26 @@ def _uncertainty(
     """From what planes and spots leave over: the stage's errors, the pixels' noise, and the camera's.
 
     What the planes' residuals have in common over the pixels are the stage's errors, which give all pixels the same
-    error; z = 0, where the board's two sides meet, has none. Straightness and tilts of the stage and the shape of the
-    blank face are seen by nobody and are not in it.
+    error of height, and take x and y along on the rays; z = 0, where the board's two sides meet, has none. Straightness
+    and tilts of the stage, the shape of the blank face, and how far the paths had drifted until it was shown are seen
+    by nobody and are not in it.
     """
     nodes, pixels, z = grid_nodes(data.camera.camera.shape, float(heights.min()), float(heights.max()))
     freedom = len(heights) - len(COEFFICIENTS)
     stage_sd = 1e-3 * np.sqrt(np.sum(plane_residual_um**2) / freedom)
     scatter, common = (np.nanmean(np.square(um, dtype=float)) for um in (planes.pixels_um, planes.blocks_um))
     pixel_sd = 1e-3 * np.sqrt(max(scatter - common, 0.0) * len(heights) / freedom)
-    displacements = np.zeros((len(z), 3, 4 + 15 + 1 + 3))
-    displacements[:, 2, :4] = stage_sd * (fitted_errors(heights, z) - fitted_errors(heights, np.zeros(1)))
-
     camera, pose = data.camera.camera, data.camera.camera_from_world
     points = points_at_height(pixels, z, camera, pose)
+    along_ray = points_at_height(pixels, z + 1.0, camera, pose) - points  # by a unit of height
+    lift = stage_sd * (fitted_errors(heights, z) - fitted_errors(heights, np.zeros(1)))
+    stage = along_ray[:, :, None] * lift[:, None]
     steps = (np.array([1.0, 0.0]), np.array([0.0, 1.0]))
     by_pixel = np.stack([points_at_height(pixels + step, z, camera, pose) - points for step in steps], axis=-1)
-    displacements[:, :2, 4:19] = -by_pixel[:, :2] @ data.camera.projected_errors(points)
-    displacements[:, :2, 19] = data.known.board_scale * points[:, :2]
-    displacements[:, :, 20:] = frame_drift(data.known, data.drift_share)
+    rays = -by_pixel @ data.camera.projected_errors(points)  # none along z, which the relation gives
+    scale = (data.known.board_scale * points * [1.0, 1.0, 0.0])[..., None]
+    drift = np.broadcast_to(frame_drift(data.known, data.drift_share), (len(z), 3, 3))
+    displacements = np.concatenate([stage, rays, scale, drift], axis=-1)
     pattern = pixel_sd * np.linalg.norm(fitted_errors(heights, nodes[0]), axis=1)
     return CalibrationUncertainty(*nodes, essential(displacements), pattern)
 

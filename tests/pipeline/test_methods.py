@@ -84,6 +84,15 @@ def test_the_papers_method_repeats_what_the_stage_did(measured):
     assert step_error(paper) == pytest.approx(predicted, abs=1e-3)
 
 
+def test_the_papers_errors_of_height_take_x_and_y_along_on_the_rays(measured):
+    """With this stage nothing else makes x and y err together with z."""
+    calibration = measured["paper"].calibration
+    covariance = calibration.uncertainty.covariance(np.array([[320.0, 240.0]]), np.array([1.25]))[0]
+    expected = calibration.rays.slope[240, 320] * covariance[2, 2]
+    assert np.abs(expected).max() > 0.05 * covariance[2, 2]
+    np.testing.assert_allclose(covariance[:2, 2], expected, atol=0.01 * covariance[2, 2])
+
+
 def test_the_bundle_knows_the_step_as_well_as_it_says_and_far_better_than_the_stage(measured):
     """Four standard deviations: a false alarm in 16 000."""
     bundle = measured["bundle"]

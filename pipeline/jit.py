@@ -4,7 +4,7 @@ from greenough.instrument.llvm import ensure_llvm
 
 ensure_llvm()
 
-import drjit as dr  # noqa: E402  Dr.Jit chooses its LLVM while it is imported, so that ensure_llvm comes before
-from drjit.llvm import Bool, Complex2f, Float, UInt8  # noqa: E402  as the line above
+import drjit as dr  # noqa: E402  Dr.Jit loads libLLVM while it is imported: ensure_llvm must come first
+from drjit.llvm import Bool, Complex2f, Float, UInt8  # noqa: E402  part of Dr.Jit: see there
 
 __all__ = ["Bool", "Complex2f", "Float", "UInt8", "dr"]

@@ -12,8 +12,8 @@ from greenough.instrument.llvm import ensure_llvm
 
 ensure_llvm()
 
-import drjit as dr  # noqa: E402  Dr.Jit looks for LLVM when it is imported
-import mitsuba as mi  # noqa: E402
+import drjit as dr  # noqa: E402  Dr.Jit loads libLLVM while it is imported: ensure_llvm must come first
+import mitsuba as mi  # noqa: E402  imports Dr.Jit
 
 VARIANTS = ("llvm_ad_mono", "cuda_ad_mono")
 

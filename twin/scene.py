@@ -9,7 +9,7 @@ import numpy as np
 from greenough.scenes.materials import MATERIALS, Diffuse, Material, RoughConductor
 from greenough.scenes.parts import Part
 
-from . import plugins  # noqa: F401  registers the names used below
+from . import plugins  # noqa: F401  its import registers the plugins that the dictionaries below name
 from .glass.as_built import AssembledPath, Tolerances, assemble
 from .glass.placed import errors_to_json
 from .glass.prescription import load_prescription

@@ -21,7 +21,7 @@ class Rays(NamedTuple):
     x: Any
     y: Any
     z: Any
-    l: Any  # noqa: E741  direction cosines, as opticians call them
+    l: Any  # noqa: E741  l, m, n are the names of direction cosines in optics
     m: Any
     n: Any
 
@@ -69,7 +69,7 @@ def trace(
         Share of each ray's light that has passed, 0 to 1. Rays that miss a surface or are reflected totally have 0;
         their coordinates mean nothing.
     """
-    x, y, z, l, m, n = rays  # noqa: E741  direction cosines
+    x, y, z, l, m, n = rays  # noqa: E741  as in Rays
     sign = 1.0 if outwards else -1.0
     indices = {name: index(name, wavelength_um) for pair in path.prescription.glasses for name in pair}
     passed, possible = type(x)(1), True
@@ -102,7 +102,7 @@ def trace(
             rest = dr.fma(-eta * eta, 1 - square, 1)
             possible &= rest > 0
             bend = sign * dr.sqrt(dr.maximum(rest, 0)) - eta * cos_in
-            l = dr.fma(eta, l, bend * (lean_x - c * x))  # noqa: E741  direction cosine
+            l = dr.fma(eta, l, bend * (lean_x - c * x))  # noqa: E741  as in Rays
             m = dr.fma(eta, m, bend * (lean_y - c * y))
             n = sign * dr.sqrt(1 - dr.fma(l, l, m * m))
         x, y = x + at_x, y + at_y

@@ -1,10 +1,10 @@
 """Sub-pixel ellipse fits to bright spots, with a local contrast of their own for each.
 
 A lens with coma blurs with a skew, and blur changes across a spot on a tilted board. A symmetric model fits best to
-such an edge beside its mean, by up to a hundredth of a pixel out of focus, and differently at each height: a tilted
-board then seems to be tilted otherwise, and heights get another scale. The mean of the light paths through the stop is
-what a ray can describe, for it is straight. It is sought from the light itself, of which blur loses none: along the
-normal n of the rim, picture minus model adds up to contrast times how far the edge's mean lies outside. For a circle,
+such an edge beside its mean, out of focus and differently at each height: a tilted board then seems to be tilted
+otherwise, and heights get another scale. The mean of the light paths through the stop is what a ray can describe, for
+it is straight. It is sought from the light itself, of which blur loses none: along the normal n of the rim, picture
+minus model adds up to contrast times how far the edge's mean lies outside. For a circle,
 
     Σ (picture - model) n / ρ = contrast ∫ n (d·n) dθ = π contrast d
 

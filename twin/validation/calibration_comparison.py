@@ -17,11 +17,10 @@ from greenough.instrument.contract import Placement, Procedure
 from greenough.pipeline.acquisition import METHODS, calibrate_by_methods, calibration_steps
 from greenough.pipeline.calibration import Method
 from greenough.pipeline.decode import PhaseMap
-from greenough.pipeline.imaging_path import cross_matrices
 
 from ..rig import open as open_twin
 from .pitch import second_board_errors
-from .planes import blocks_of, half_measured, mean, percentile, plane_terms, rms, vertical_error
+from .planes import blocks_of, half_measured, mean, moved_by_motion, percentile, plane_terms, rms, vertical_error
 from .setup import Setup
 
 HEIGHTS_MM = (-1.25, -0.62, 0.02, 0.62, 1.25)
@@ -259,16 +258,8 @@ def without_frame(
         Of each plane: x, y, and z on the plane's own slope.
     places : sequence of (n_i, 3)
     slopes : sequence of (2,)
-
-    Notes
-    -----
-    A point p moves by d = t + ω x p; on a surface of slope s it then lies d_z - s · d_xy above it.
     """
-    moved = []
-    for xyz, slope in zip(places, slopes, strict=True):
-        by = np.concatenate([np.broadcast_to(np.eye(3), (len(xyz), 3, 3)), -cross_matrices(xyz)], axis=-1)
-        by[:, 2] -= slope @ by[:, :2]
-        moved.append(by)
+    moved = [moved_by_motion(xyz, slope) for xyz, slope in zip(places, slopes, strict=True)]
     design, error = np.concatenate(moved).reshape(-1, 6), np.concatenate(errors).ravel()
     return (error - design @ np.linalg.lstsq(design, error, rcond=None)[0]).reshape(-1, 3)
 

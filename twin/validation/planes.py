@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from greenough.pipeline.imaging_path import cross_matrices
 from greenough.pipeline.reconstruct import PointMap
 
 from .setup import Setup
@@ -28,6 +29,16 @@ def without_plane(setup: Setup, points: PointMap) -> np.ndarray:
 def plane_terms(xy: np.ndarray) -> np.ndarray:
     """Columns of height and slopes, (n, 3), of planes at places (n, 2)."""
     return np.column_stack([np.ones(len(xy)), xy])
+
+
+def moved_by_motion(xyz: np.ndarray, slope: np.ndarray) -> np.ndarray:
+    """What small motions do to points (n, 3) of a surface of slope s (2,), (n, 3, 6): along x and y, and above it.
+
+    A point p moves by d = t + ω x p and then lies d_z - s · d_xy above the surface; columns are t, then ω.
+    """
+    by = np.concatenate([np.broadcast_to(np.eye(3), (len(xyz), 3, 3)), -cross_matrices(xyz)], axis=-1)
+    by[:, 2] -= slope @ by[:, :2]
+    return by
 
 
 def blocks_of(image: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ from greenough.pipeline.reconstruct import PointMap
 
 from .claims import Claim, Prediction
 from .mechanics import calibration_noise_share, expected_error, left_to_chance, percentile_with_noise
-from .planes import BLOCK_PX, blocks_of, half_measured, mean, percentile, rms, vertical_error
+from .planes import BLOCK_PX, blocks_of, half_measured, mean, moved_by_motion, percentile, rms, vertical_error
 from .setup import Setup
 
 VOLUME_HEIGHTS_MM = (-1.48, -1.0, -0.5, 0.0, 0.5, 1.0, 1.48)
@@ -287,8 +287,6 @@ def _prediction(statistic: Callable[[np.ndarray], float], draws: np.ndarray) -> 
 def without_motion(points: Sequence[np.ndarray], planes: Sequence[MeasuredPlane], error: np.ndarray) -> np.ndarray:
     """What the best small rigid motion of all points together leaves of their vertical errors.
 
-    A point that moves by d on a surface of slope s comes to lie d_z - s · d_xy above it, where d = t + ω x p.
-
     Parameters
     ----------
     points : sequence of (n_i, 3)
@@ -297,13 +295,8 @@ def without_motion(points: Sequence[np.ndarray], planes: Sequence[MeasuredPlane]
     error : (n,) or (n, draws)
         Vertical errors of all points, one plane after the other.
     """
-    columns = []
-    for xyz, plane in zip(points, planes, strict=True):
-        x, y, z = xyz.T
-        along, down = plane.slope
-        one = np.ones(len(xyz))
-        columns.append([-along * one, -down * one, one, y + down * z, -x - along * z, along * y - down * x])
-    design = np.concatenate([np.transpose(column) for column in columns])
+    moved = [moved_by_motion(xyz, np.asarray(plane.slope))[:, 2] for xyz, plane in zip(points, planes, strict=True)]
+    design = np.concatenate(moved)
     return error - design @ np.linalg.lstsq(design, error, rcond=None)[0]
 
 

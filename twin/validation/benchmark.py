@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
@@ -17,21 +16,9 @@ from ..plugins import FringeIntegrator
 from ..renderer import dr, mi
 from ..rig import open as open_twin
 from ..rig import scene_dict
+from .benchmarks.rows import Row
 
 REPEATS = 5
-
-
-@dataclass(frozen=True)
-class Row:
-    """One line of the table: a figure, what it is compared with, and what it must keep to (None: reported only)."""
-
-    name: str
-    value: float
-    unit: str
-    peer: str | None = None
-    ratio: float | None = None
-    limit: float | None = None
-    holds: bool | None = None
 
 
 def benchmark(rig_name: str, overrides: list[str], advance: Callable[[float], None]) -> list[Row]:

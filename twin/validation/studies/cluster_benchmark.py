@@ -5,7 +5,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from ..benchmark import Row
+from ..benchmarks.rows import Row
 from .cluster import dask, on_cluster
 from .experiments import experiment
 from .runs import Run, runs_of

@@ -9,7 +9,7 @@ from typing import Any
 from greenough.instrument.errors import InputError
 from greenough.instrument.files import atomic_path
 
-from ..benchmark import Row
+from ..benchmarks.rows import Row
 from .runs import Outcome, Run, execute, keep, kept, nan_as_null
 from .study_file import StudyFile
 from .summary import Statistics, rows, statistics, tables

@@ -7,7 +7,7 @@ from itertools import groupby
 
 import numpy as np
 
-from ..benchmark import Row
+from ..benchmarks.rows import Row
 from ..hit_rates import acceptable_hits, agreement
 from . import ablation
 from .runs import Outcome, Run

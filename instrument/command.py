@@ -50,7 +50,10 @@ def collect(sources: Iterable[EntryPoint]) -> typer.Typer:
     A package that is not installed brings nothing. One that is installed and fails to import costs its own verbs
     alone: what went wrong is printed to standard error.
     """
-    root = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False)
+    # Plain help: Rich alone takes as long to load as everything else together.
+    root = typer.Typer(
+        no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None
+    )
 
     @root.callback()
     def greenough() -> None:

@@ -16,7 +16,10 @@ app = typer.Typer()
 
 @app.command()
 def check(rig: RigArgument, settings: SetOption = None, as_json: JsonOption = False) -> None:
-    """Connect to a rig, without moving or lighting anything, and report what answers and its limits."""
+    """Connect to a rig and report what answers and its limits.
+
+    Nothing moves, and nothing is lit.
+    """
     from .journal import describe
     from .opening import open_rig
 
@@ -39,7 +42,10 @@ def record(
     settings: SetOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Capture patterns on each sample at each height and keep all of it in one recording."""
+    """Capture patterns on samples and keep all of it in a recording.
+
+    Every sample is captured at every height.
+    """
     from . import recording
     from .contract import Placement
     from .opening import open_rig
@@ -67,7 +73,10 @@ def record(
 def replay(
     recording: Annotated[Path, typer.Argument(metavar="FILE.h5", help="A recording.")], as_json: JsonOption = False
 ) -> None:
-    """Verify every frame of a recording and list what it holds. Every other verb takes it in place of a rig."""
+    """Verify every frame of a recording and list what it holds.
+
+    Every other verb takes a recording in place of a rig.
+    """
     from .progress import progress
     from .replay import open_recording
 

@@ -3,9 +3,28 @@
 It knows a rig only by the contract of ``greenough.instrument``.
 """
 
-from .calibration import Calibration
-from .decode import PhaseMap, decode
-from .fringes import FringeSet
-from .reconstruct import PointMap, reconstruct
+from typing import TYPE_CHECKING
+
+from greenough.instrument.load_on_use import load_on_use
+
+if TYPE_CHECKING:
+    from .calibration import Calibration as Calibration
+    from .decode import PhaseMap as PhaseMap
+    from .decode import decode as decode
+    from .fringes import FringeSet as FringeSet
+    from .reconstruct import PointMap as PointMap
+    from .reconstruct import reconstruct as reconstruct
 
 __all__ = ["Calibration", "FringeSet", "PhaseMap", "PointMap", "decode", "reconstruct"]
+
+load_on_use(
+    __name__,
+    {
+        "Calibration": "calibration",
+        "FringeSet": "fringes",
+        "PhaseMap": "decode",
+        "PointMap": "reconstruct",
+        "decode": "decode",
+        "reconstruct": "reconstruct",
+    },
+)

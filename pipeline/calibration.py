@@ -4,7 +4,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import h5py
 import numpy as np
@@ -19,6 +19,7 @@ from .fringes import FringeSet
 from .imaging_path import ImagingPath
 from .instrument_model import InstrumentModel
 from .legendre_field import DepthField
+from .method import Method
 from .path_drift import along_ray_per_shift, walked_mm
 from .phase_height import PhaseHeight
 from .point_spread import PointSpread
@@ -27,8 +28,6 @@ from .rays import Rays
 
 KIND = "greenough calibration"
 VERSION = 3
-
-Method = Literal["paper", "bundle", "stage-free", "triangulation"]
 
 _ARRAYS = {
     "rays": {"origin": "mm", "slope": "1"},

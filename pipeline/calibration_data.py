@@ -9,11 +9,12 @@ import numpy as np
 from greenough.instrument.contract import KnownUncertainty, Procedure, RigIdentity, SpotBoard
 
 from .bundle_data import SpotPhases, block_map
-from .calibration import Calibration, Method, Residuals
+from .calibration import Calibration, Residuals
 from .calibration_uncertainty import CalibrationUncertainty
 from .camera_calibration import CameraCalibration
 from .camera_model import CameraModel
 from .instrument_model import InstrumentModel
+from .method import Method
 from .path_drift import walk_covariance
 from .phase_height import PhaseHeight
 from .point_spread import PointSpread

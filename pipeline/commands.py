@@ -4,22 +4,14 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Literal
 
-import numpy as np
 import typer
 
-from greenough.instrument.contract import Placement
 from greenough.instrument.errors import InputError
-from greenough.instrument.opening import open_rig
 from greenough.instrument.progress import progress
 from greenough.instrument.verbs import JsonOption, RigArgument, RunOption, SetOption, show
 
-from . import acquisition
-from .calibration import Calibration, Method
-from .compare import ALIGNMENTS
-from .compare import compare as compare_cloud
 from .decode_command import app as decode_app
-from .point_cloud import PointCloud, read_cloud, read_mesh, write_cloud
-from .unfinished import Unfinished
+from .method import Method
 
 app = typer.Typer()
 app.add_typer(decode_app)
@@ -41,11 +33,17 @@ def calibrate(
     settings: SetOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Calibrate a rig: the board in its postures, then, for paper and bundle, its blank side at every plane height.
+    """Calibrate a rig by a board of spots and by planes.
 
-    An interrupted calibration goes on from the last finished posture or
-    plane when the same command is given again.
+    It captures the board in its postures, then, for paper and bundle, its blank side at every plane height.
+
+    An interrupted calibration goes on from the last finished posture or plane when the same command is given again.
     """
+    from greenough.instrument.opening import open_rig
+
+    from . import acquisition
+    from .unfinished import Unfinished
+
     exposures_done = Unfinished.beside(out).exposures
     with open_rig(rig, settings or (), run=run, exposures_done=exposures_done) as opened:
         steps = acquisition.calibration_steps(opened.procedure, [method])
@@ -81,6 +79,15 @@ def measure(
     as_json: JsonOption = False,
 ) -> None:
     """Measure a part and write its points in the calibrated frame."""
+    import numpy as np
+
+    from greenough.instrument.contract import Placement
+    from greenough.instrument.opening import open_rig
+
+    from . import acquisition
+    from .calibration import Calibration
+    from .point_cloud import PointCloud, write_cloud
+
     loaded = Calibration.load(calibration)
     placement = Placement(sample, unit=unit, pose_mm_deg=_pose(pose))
     run = run or f"measure-{Path(sample).stem}"
@@ -130,10 +137,15 @@ def compare(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Compare measured points with a mesh: distance along the normal and vertical error.
+    """Compare measured points with a mesh.
 
-    Without --align the points stay as they are, and all three alignments are shown beside each other as well.
+    Distances are taken along the normal and vertically. Without --align the points stay as they are, and all three
+    alignments are shown beside each other as well.
     """
+    from .compare import ALIGNMENTS
+    from .compare import compare as compare_cloud
+    from .point_cloud import read_cloud, read_mesh
+
     if tolerance_um is not None and not tolerance_um > 0:
         raise InputError(f"--tolerance-um is {tolerance_um:g}: it must be above 0.")
     alignments = ALIGNMENTS if align is None else (align,)

@@ -2,18 +2,17 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
-import cv2
-import h5py
-import numpy as np
 import typer
 
-from greenough.instrument import hdf5
 from greenough.instrument.errors import InputError
 from greenough.instrument.verbs import JsonOption, show
 
 from .fringes import PAPER, FringeSet
+
+if TYPE_CHECKING:
+    import numpy as np
 
 app = typer.Typer()
 
@@ -44,8 +43,12 @@ def decode(
     steps: Annotated[str, typer.Option("--steps", help="Phase steps of each period.")] = _listed(PAPER.steps),
     as_json: JsonOption = False,
 ) -> None:
-    """Decode phase-shifted frames to absolute phase, modulation and background."""
-    from .decode import decode as decode_stack  # compiles for LLVM, which other verbs need not wait for
+    """Decode phase-shifted frames to phase, modulation, background."""
+    import numpy as np
+
+    from greenough.instrument import hdf5
+
+    from .decode import decode as decode_stack
 
     fringes = FringeSet(_numbers(periods, "--periods", float), _numbers(steps, "--steps", int))
     if out.suffix != ".h5":
@@ -69,7 +72,7 @@ def decode(
     )
 
 
-def read_stack(names: Sequence[str]) -> np.ndarray:
+def read_stack(names: Sequence[str]) -> "np.ndarray":
     """Frames from image files, or from one file that holds them all.
 
     Parameters
@@ -87,6 +90,8 @@ def read_stack(names: Sequence[str]) -> np.ndarray:
     InputError
         If a file is missing or unreadable, or the images do not fit together.
     """
+    import numpy as np
+
     if len(names) == 1:
         path, _, dataset = names[0].partition(".h5:")
         if dataset or path.endswith(".h5"):
@@ -107,7 +112,10 @@ def read_stack(names: Sequence[str]) -> np.ndarray:
     return np.stack(images)
 
 
-def _read_image(path: Path) -> np.ndarray:
+def _read_image(path: Path) -> "np.ndarray":
+    import cv2
+    import numpy as np
+
     image = cv2.imdecode(np.fromfile(path, dtype=np.uint8), cv2.IMREAD_UNCHANGED) if path.stat().st_size else None
     if image is None:
         raise InputError(f"{path} is not an image; give PNG or TIFF files, or one .npy or .h5 file.")
@@ -116,7 +124,10 @@ def _read_image(path: Path) -> np.ndarray:
     return image
 
 
-def _read_hdf5(path: Path, dataset: str) -> np.ndarray:
+def _read_hdf5(path: Path, dataset: str) -> "np.ndarray":
+    import h5py
+    import numpy as np
+
     stacks = []
     try:
         with h5py.File(path, "r") as file:

@@ -1,11 +1,14 @@
 """The fringe patterns that are projected: the paper's Table 1 and eq. 1."""
 
+import math
 from dataclasses import dataclass
 from itertools import accumulate, pairwise
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from greenough.instrument.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
 
 
 @dataclass(frozen=True)
@@ -36,7 +39,7 @@ class FringeSet:
                 f"fringe set: {len(self.periods)} periods and {len(self.steps)} steps were given; "
                 "give one number of steps for each period, and at least one period."
             )
-        if any(not np.isfinite(period) or period <= 2 for period in self.periods):
+        if any(not math.isfinite(period) or period <= 2 for period in self.periods):
             raise InputError(f"fringe set: periods {self.periods} must all be finite and longer than 2 columns.")
         if any(coarse <= fine for coarse, fine in pairwise(self.periods)):
             raise InputError(f"fringe set: periods {self.periods} must decrease; list the coarsest first.")
@@ -60,7 +63,7 @@ class FringeSet:
         ends = tuple(accumulate(self.steps))
         return tuple(slice(end - step, end) for end, step in zip(ends, self.steps, strict=True))
 
-    def patterns(self, rows: int, cols: int) -> np.ndarray:
+    def patterns(self, rows: int, cols: int) -> "np.ndarray":
         """Patterns for a projector of ``rows`` x ``cols`` mirrors.
 
         Returns
@@ -74,6 +77,8 @@ class FringeSet:
         InputError
             If the projector has more columns than the coarsest period.
         """
+        import numpy as np  # which a command line that asks for help need not load
+
         if cols > self.periods[0]:
             raise InputError(
                 f"fringe set: the coarsest period of {self.periods[0]:g} columns must span all {cols} columns of the "

@@ -4,7 +4,9 @@
 loaded when one of the names is first used.
 """
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from greenough.instrument.load_on_use import load_on_use
 
 if TYPE_CHECKING:
     from .bench import Bench as Bench
@@ -14,14 +16,9 @@ if TYPE_CHECKING:
     from .rig import open_rig as open_rig
     from .rig import scene_dict as scene_dict
 
-_HOME = {"Bench": "bench", "Truth": "bench", "TwinRig": "rig", "open": "rig", "open_rig": "rig", "scene_dict": "rig"}
-
 __all__ = ["Bench", "Truth", "TwinRig", "open", "open_rig", "scene_dict"]
 
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from importlib import import_module
-
-    return getattr(import_module(f".{_HOME[name]}", __name__), name)
+load_on_use(
+    __name__,
+    {"Bench": "bench", "Truth": "bench", "TwinRig": "rig", "open": "rig", "open_rig": "rig", "scene_dict": "rig"},
+)

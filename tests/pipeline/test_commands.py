@@ -6,9 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from greenough.instrument import opening
 from greenough.instrument.command import run
 from greenough.instrument.contract import KnownUncertainty, Procedure, RigIdentity, SpotBoard
-from greenough.pipeline import commands
+from greenough.pipeline import acquisition, commands
 from greenough.pipeline.calibration import Calibration, Residuals
 from greenough.pipeline.calibration_uncertainty import CalibrationUncertainty
 from greenough.pipeline.camera_model import CameraModel
@@ -152,8 +153,8 @@ def measured(tmp_path, monkeypatch):
         asked.update(placement=placement, brackets=brackets, filter=filter_fwhm_px, deconvolve=deconvolve)
         return PointMap(np.ones((*shape, 3)))
 
-    monkeypatch.setattr(commands, "open_rig", open_rig)
-    monkeypatch.setattr(commands.acquisition, "measure", measure)
+    monkeypatch.setattr(opening, "open_rig", open_rig)
+    monkeypatch.setattr(acquisition, "measure", measure)
 
     def call(*options):
         out = tmp_path / "cloud.ply"
@@ -171,8 +172,8 @@ def test_calibrate_hands_over_the_method(tmp_path, monkeypatch, capsys, options,
         asked.update(out=out, run=run, method=method)
         return SimpleNamespace(identity=RigIdentity("bench", "1", "2", "0" * 64), method=method, figures={"planes": 30})
 
-    monkeypatch.setattr(commands, "open_rig", lambda name, overrides, **options: Opened())
-    monkeypatch.setattr(commands.acquisition, "calibrate", calibrate)
+    monkeypatch.setattr(opening, "open_rig", lambda name, overrides, **options: Opened())
+    monkeypatch.setattr(acquisition, "calibrate", calibrate)
     assert greenough("calibrate", "bench", "--out", tmp_path / "cal.h5", *options, "--json") == 0
     assert asked == {"out": tmp_path / "cal.h5", "run": "calibrate", "method": method}
     assert json.loads(capsys.readouterr().out)["method"] == method

@@ -20,7 +20,10 @@ def optics(
     settings: SetOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Draw both lens paths with rays, their spots and aberrations, and print what they amount to to first order."""
+    """Draw both lens paths with rays, their spots and aberrations.
+
+    Prints what they amount to to first order.
+    """
     from greenough.instrument.rigfile import load_rig_file
 
     from ..settings import twin_settings

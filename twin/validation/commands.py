@@ -19,10 +19,10 @@ def demo(
     settings: SetOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Calibrate a twin, measure the paper's specimens, and print its claims beside what was measured.
+    """Calibrate a twin, measure, and judge the paper's claims.
 
-    Exits with 1 if a row behaves otherwise than expected. Where its limit lies within the spread of what is predicted,
-    nothing is expected.
+    Prints them beside what was measured. Exits with 1 if a row behaves otherwise than expected. Where its limit lies
+    within the spread of what is predicted, nothing is expected.
     """
     from .demo import demonstrate, steps
 
@@ -51,9 +51,10 @@ def study(
     settings: SetOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Draw instruments, take each through an experiment, case by case, and sum up what comes of it.
+    """Take many instruments through an experiment, case by case.
 
-    Goes on from FOLDER where it was interrupted. Exits with 1 if a run failed or a limit of the study does not hold.
+    Draws the instruments and sums up what comes of it. Goes on from FOLDER where it was interrupted. Exits with 1 if
+    a run failed or a limit of the study does not hold.
     """
     from .studies.cluster import on_cluster
     from .studies.runs import runs_of
@@ -86,9 +87,10 @@ def accept(
     settings: SetOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Measure certified artefacts with a twin and judge spheres, planes, steps, grating, noise, resolution and parts.
+    """Measure certified artefacts with a twin and judge the results.
 
-    Exits with 1 if a row does not keep to its limit or is missing.
+    Spheres, planes, steps, grating, noise, resolution and parts. Exits with 1 if a row does not keep to its limit or
+    is missing.
     """
     from .acceptance.table import accept as run
     from .acceptance.table import captures
@@ -112,9 +114,9 @@ def bench(
     settings: SetOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Time the costly steps on this machine, and a study on one worker of a cluster and on two.
+    """Time the costly steps beside what others need for the same.
 
-    Exits with 1 if a ratio exceeds its limit.
+    Exits with 1 if a row is missing or does not keep to its limit.
     """
     from .benchmark import benchmark
     from .studies.cluster_benchmark import two_workers

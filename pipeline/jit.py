@@ -5,6 +5,6 @@ from greenough.instrument.llvm import ensure_llvm
 ensure_llvm()
 
 import drjit as dr  # noqa: E402  Dr.Jit loads libLLVM while it is imported: ensure_llvm must come first
-from drjit.llvm import Bool, Complex2f, Float, UInt8  # noqa: E402  part of Dr.Jit: see there
+from drjit.llvm import Bool, Complex2f, Float, Float64, UInt8, UInt32  # noqa: E402  part of Dr.Jit: see there
 
-__all__ = ["Bool", "Complex2f", "Float", "UInt8", "dr"]
+__all__ = ["Bool", "Complex2f", "Float", "Float64", "UInt8", "UInt32", "dr"]

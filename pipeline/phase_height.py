@@ -11,14 +11,18 @@ own calibrated phases, which keeps eq. 19 free of the bias and the bad condition
 """
 
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
 
+import h5py
 import numpy as np
 
 from greenough.instrument.errors import InputError
 
-from .jit import dr
+from .phase_height_kernel import fit_pixels
+
+PlanePhases = np.ndarray | h5py.Dataset
+"""Absolute phases of planes, (planes, rows, cols) rad, NaN where invalid: an array, or one in a file, of which only
+what is asked for is read."""
 
 COEFFICIENTS = ("m1", "m0", "n1", "r3")
 MIN_PLANES = 2 * len(COEFFICIENTS)
@@ -32,8 +36,10 @@ SLOPE_TOLERANCE = 0.1
 """Largest relative departure of a pixel's dz/dΦ from the median pixel's. Over the narrow field of a stereomicroscope it
 varies by 2 %; a pixel that sees the board's side wall, which passes by as the stage moves, has another one."""
 
-_BLOCK_PIXELS = 8192  # 30 planes of a block in float64 stay in the processor's cache
-_REFINEMENTS = 2
+STRIP_PHASES = 4_000_000
+"""How many phases of all planes together are worked at."""
+
+_SAMPLE = 4000  # of the picture's pixels, whose condition is looked at
 _INVERSE_STEPS = 4  # r3 w³ is a few micrometres: each squares the error
 
 
@@ -170,7 +176,7 @@ class PhaseHeightFit:
     condition: float
 
 
-def fit_phase_height(phases: np.ndarray, z_mm: np.ndarray) -> PhaseHeightFit:
+def fit_phase_height(phases: PlanePhases, z_mm: np.ndarray) -> PhaseHeightFit:
     """Fit the phase-height relation of every pixel to planes at known heights.
 
     Eq. 19 on the normalised phase gives the start; Gauss-Newton steps on the height residuals of eq. 18 follow. Planes
@@ -178,10 +184,13 @@ def fit_phase_height(phases: np.ndarray, z_mm: np.ndarray) -> PhaseHeightFit:
     ``MIN_PLANES`` planes, no plane misses its relation by more than ``MISFIT_RAD``, and its slope is within
     ``SLOPE_TOLERANCE`` of the others'.
 
+    Beside the phases and the result, memory is taken for a strip of the picture, which is so narrow that it holds
+    ``STRIP_PHASES`` phases or a single row, however many planes there are.
+
     Parameters
     ----------
     phases : (planes, rows, cols) float32 or float64
-        Absolute phase in rad, NaN where invalid. May be memory-mapped: it is read once, in blocks.
+        Absolute phase in rad, NaN where invalid. It is read once, strip by strip.
     z_mm : (planes,)
         Height of each plane.
 
@@ -199,24 +208,20 @@ def fit_phase_height(phases: np.ndarray, z_mm: np.ndarray) -> PhaseHeightFit:
             f"the phase-height relation needs planes at {MIN_PLANES} or more different heights, "
             f"got {len(np.unique(z_mm))}: raise procedure.planes in the rig file"
         )
-    flat = phases.reshape(planes, rows * cols)
-    coefficients = np.full((rows * cols, len(COEFFICIENTS)), np.nan, dtype=np.float32)
-    centre = np.full(rows * cols, np.nan, dtype=np.float32)
-    half_range = np.full(rows * cols, np.nan, dtype=np.float32)
-    z_range = np.full((rows * cols, 2), np.nan, dtype=np.float32)
-    residual_um = np.full(rows * cols, np.nan, dtype=np.float32)
-
-    def fit(block: slice) -> tuple[np.ndarray, np.ndarray]:
-        with np.errstate(all="ignore"):  # a pixel whose fit diverges misses its planes and is left out below
-            fitted = _fit_block(flat[:, block], z_mm)
-        coefficients[block] = fitted.coefficients.T
-        centre[block], half_range[block] = fitted.centre, fitted.half_range
-        z_range[block] = fitted.z_range.T
-        residual_um[block] = 1e3 * fitted.rms
-        return fitted.residual_sum, fitted.residual_count
-
-    with ThreadPoolExecutor(dr.thread_count()) as pool:
-        sums, counts = zip(*pool.map(fit, _blocks(rows * cols)), strict=True)
+    fits, pixels, samples = [], [], []
+    every = max(1, rows * cols // _SAMPLE)
+    for strip in strips(phases.shape):
+        part = phases[:, strip].reshape(planes, -1)
+        fit = fit_pixels(part, z_mm, MIN_PLANES, MISFIT_RAD)
+        fits.append(fit)
+        sample = np.flatnonzero(np.isfinite(fit.rms_mm))[::every]
+        pixels.append(strip.start * cols + sample)
+        samples.append(part[:, sample])
+    coefficients = np.concatenate([fit.coefficients for fit in fits], axis=1).T
+    centre = np.concatenate([fit.centre for fit in fits])
+    half_range = np.concatenate([fit.half_range for fit in fits])
+    z_range = np.concatenate([fit.z_range for fit in fits], axis=1).T
+    residual_um = 1e3 * np.concatenate([fit.rms_mm for fit in fits])
     slope = (z_range[:, 1] - z_range[:, 0]) / half_range
     with np.errstate(invalid="ignore"):
         alien = np.abs(slope / np.nanmedian(slope) - 1) > SLOPE_TOLERANCE if np.isfinite(slope).any() else slope > 0
@@ -235,132 +240,33 @@ def fit_phase_height(phases: np.ndarray, z_mm: np.ndarray) -> PhaseHeightFit:
         z_range=z_range.reshape(rows, cols, 2),
         valid=valid.reshape(rows, cols),
     )
-    count = np.sum(counts, axis=0)
-    plane_residual = np.divide(np.sum(sums, axis=0), count, out=np.full(planes, np.nan), where=count > 0)
-    sample = np.flatnonzero(valid)[:: max(1, valid.sum() // 2000)]
+    count = np.sum([fit.residual_count for fit in fits], axis=0)
+    sums = np.sum([fit.residual_sum_mm for fit in fits], axis=0)
     return PhaseHeightFit(
         relation=relation,
         residual_um=residual_um.reshape(rows, cols),
-        plane_residual_um=1e3 * plane_residual,
-        condition=_worst_condition(flat[:, sample], coefficients[sample], centre[sample], half_range[sample]),
+        plane_residual_um=1e3 * np.divide(sums, count, out=np.full(planes, np.nan), where=count > 0),
+        condition=_worst_condition(np.concatenate(samples, axis=1), np.concatenate(pixels), relation),
     )
 
 
-@dataclass(frozen=True)
-class _BlockFit:
-    """A block of pixels: the last axis of every array counts its pixels."""
-
-    coefficients: np.ndarray  # (4, pixels)
-    centre: np.ndarray
-    half_range: np.ndarray
-    z_range: np.ndarray  # (2, pixels)
-    rms: np.ndarray  # mm, NaN where not calibrated
-    residual_sum: np.ndarray  # (planes,) mm
-    residual_count: np.ndarray  # (planes,)
+def strips(shape: tuple[int, int, int]) -> Iterator[slice]:
+    """Rows (planes, rows, cols) divided into strips that hold ``STRIP_PHASES`` phases or a single row."""
+    planes, rows, cols = shape
+    height = max(1, STRIP_PHASES // (planes * cols))
+    return (slice(top, min(top + height, rows)) for top in range(0, rows, height))
 
 
-def _blocks(pixels: int) -> Iterator[slice]:
-    return (slice(start, min(start + _BLOCK_PIXELS, pixels)) for start in range(0, pixels, _BLOCK_PIXELS))
-
-
-def _fit_block(phases: np.ndarray, z_mm: np.ndarray) -> _BlockFit:
-    phi = phases.astype(np.float64)  # (planes, pixels)
+def _worst_condition(phases: np.ndarray, pixels: np.ndarray, relation: PhaseHeight) -> float:
+    """Largest condition number of the scaled Jacobian over some pixels (n,), whose phases are (planes, n)."""
+    valid = relation.valid.ravel()[pixels]
+    pixels, phi = pixels[valid], phases[:, valid].astype(np.float64)
     seen = np.isfinite(phi)
-    z = z_mm[:, None]
-    enough = seen.sum(axis=0) >= MIN_PLANES
-    low = np.where(seen, phi, np.inf).min(axis=0)
-    high = np.where(seen, phi, -np.inf).max(axis=0)
-    usable = enough & (high > low)
-    # The stored numbers are float32: normalise with exactly what will be stored.
-    centre = np.where(usable, (low + high) / 2, 0.0).astype(np.float32)
-    half_range = np.where(usable, (high - low) / 2, 1.0).astype(np.float32)
-    weight = (seen & usable).astype(np.float64)
-    t = np.where(weight > 0, (phi - centre) / half_range, 0.0)
-
-    # Eq. 19: m1 t - n1 t z + m0 = z, least squares per pixel.
-    m1, m0, n1 = _least_squares([weight * t, weight, -t * z], weight * z)
-    r3 = np.zeros_like(m1)
-    for _ in range(_REFINEMENTS):
-        denominator = 1 / (n1 * t + 1)
-        w = (m1 * t + m0) * denominator
-        cube = w * w * w
-        slope = weight * (1 + 3 * r3 * w * w) * denominator  # dz/dw times dw/d(numerator)
-        jacobian = [slope * t, slope, -slope * t * w, weight * cube]
-        step = _least_squares(jacobian, weight * (z - w - r3 * cube))
-        m1, m0, n1, r3 = m1 + step[0], m0 + step[1], n1 + step[2], r3 + step[3]
-
-    w = (m1 * t + m0) / (n1 * t + 1)
-    residual = weight * (w + r3 * w * w * w - z)
-    z_low = np.where(weight > 0, z, np.inf).min(axis=0)
-    z_high = np.where(weight > 0, z, -np.inf).max(axis=0)
-    mm_per_rad = (z_high - z_low) / (2 * half_range)
-    good = usable & (np.abs(residual).max(axis=0) < MISFIT_RAD * mm_per_rad)
-    rms = np.sqrt((residual**2).sum(axis=0) / np.maximum(weight.sum(axis=0), 1))
-
-    def kept(values: np.ndarray) -> np.ndarray:
-        return np.where(good, values, np.nan)
-
-    return _BlockFit(
-        coefficients=kept(np.stack([m1, m0, n1, r3])),
-        centre=kept(centre),
-        half_range=kept(half_range),
-        z_range=kept(np.stack([z_low, z_high])),
-        rms=kept(rms),
-        residual_sum=np.where(good, residual, 0.0).sum(axis=1),
-        residual_count=(weight * good).sum(axis=1),
-    )
-
-
-def _least_squares(columns: list[np.ndarray], target: np.ndarray) -> list[np.ndarray]:
-    """Least squares for every pixel at once by Cholesky's factors of the normal equations.
-
-    Parameters
-    ----------
-    columns : list of (planes, pixels)
-        Columns of the design matrix.
-    target : (planes, pixels)
-
-    Returns
-    -------
-    list of (pixels,)
-        One array per column; zero where a pixel's equations are singular.
-    """
-    n = len(columns)
-    # Columns scaled to unit length: the pivots below are then the share of each column that the earlier ones lack.
-    scale = [np.sqrt(np.einsum("kp,kp->p", c, c)) for c in columns]
-    regular = np.ones(target.shape[1], dtype=bool)
-    for s in scale:
-        regular &= s > 0
-        s[s == 0] = 1.0
-    lower: list[list[np.ndarray]] = []
-    half_solved: list[np.ndarray] = []
-    for i in range(n):
-        row: list[np.ndarray] = []
-        for j in range(i):
-            dot = np.einsum("kp,kp->p", columns[i], columns[j]) / (scale[i] * scale[j])
-            row.append((dot - sum((row[k] * lower[j][k] for k in range(j)), start=0.0)) / lower[j][j])
-        pivot = 1.0 - sum((r * r for r in row), start=np.zeros_like(scale[i]))
-        regular &= pivot > 1e-10
-        row.append(np.sqrt(np.where(pivot > 1e-10, pivot, 1.0)))
-        lower.append(row)
-        right = np.einsum("kp,kp->p", columns[i], target) / scale[i]
-        half_solved.append((right - sum((row[k] * half_solved[k] for k in range(i)), start=0.0)) / row[i])
-    solution: list[np.ndarray] = [np.empty(0)] * n
-    for i in reversed(range(n)):
-        above = sum((lower[k][i] * solution[k] for k in range(i + 1, n)), start=0.0)
-        solution[i] = (half_solved[i] - above) / lower[i][i]
-    return [np.where(regular, x / s, 0.0) for x, s in zip(solution, scale, strict=True)]
-
-
-def _worst_condition(phases: np.ndarray, coefficients: np.ndarray, centre: np.ndarray, half_range: np.ndarray) -> float:
-    """Largest condition number of the scaled Jacobian over pixels: (planes, n), (n, 4), (n,), (n,)."""
-    phi = phases.astype(np.float64)
-    seen = np.isfinite(phi)
-    t = np.where(seen, (phi - centre) / half_range, 0.0)
-    m1, m0, n1, r3 = coefficients.T.astype(np.float64)
+    t = np.where(seen, (phi - relation.phase_centre.ravel()[pixels]) / relation.phase_half_range.ravel()[pixels], 0.0)
+    m1, m0, n1, r3 = relation.coefficients.reshape(-1, len(COEFFICIENTS))[pixels].T.astype(np.float64)
     denominator = 1 / (n1 * t + 1)
     w = (m1 * t + m0) * denominator
     slope = (1 + 3 * r3 * w**2) * denominator
     jacobian = np.stack([slope * t, slope, -slope * t * w, w**3], axis=-1) * seen[..., None]  # (planes, n, 4)
     jacobian = np.moveaxis(jacobian, 1, 0)
-    return float(np.linalg.cond(jacobian / np.linalg.norm(jacobian, axis=1, keepdims=True)).max())
+    return float(np.linalg.cond(jacobian / np.linalg.norm(jacobian, axis=1, keepdims=True)).max(initial=1.0))

@@ -6,7 +6,7 @@ hold more than one shape. A shape so small that the middle of no pixel meets it 
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import ceil
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -17,11 +17,12 @@ from .lens_projector import LensProjector
 CameraRay = Callable[[mi.UInt32, mi.Point2f, mi.Point2f], tuple[mi.Ray3f, mi.Float]]
 
 MARGIN = 1.25  # on the size of a blur that is known from single rays
+BLOCK = 4  # pixels along the side of a block whose rays are traced together
 
 
 @dataclass(frozen=True, eq=False)
 class Survey:
-    """Pixels, counted along rows; none is in both.
+    """Numbers of pixels, counted along rows; none is in both. Pixels of a small block follow each other.
 
     Parameters
     ----------
@@ -70,15 +71,39 @@ def survey(
     shape = dr.reinterpret_array(mi.UInt32, si.shape)
     dr.eval(lit, blur, shape)
 
-    reach = 1 + ceil(MARGIN * float(blur.numpy().max()))
-    window = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
+    reach = 1 + np.ceil(MARGIN * blur.numpy().reshape(rows, cols))  # of a pixel, in pixels
+    everywhere = _window(int(reach.max()))
     picture = lit.numpy().reshape(rows, cols).astype(np.uint8)
-    near_light = cv2.dilate(picture, window, borderType=cv2.BORDER_CONSTANT, borderValue=1) > 0
+    near_light = cv2.dilate(picture, everywhere, borderType=cv2.BORDER_CONSTANT, borderValue=1) > 0
     meet = np.zeros((rows, cols), bool)
     if find_edges:
         shapes = shape.numpy().reshape(rows, cols).astype(np.float32)
-        meet = cv2.dilate(shapes, window) != cv2.erode(shapes, window)
-    return Survey(*(mi.UInt32(np.flatnonzero(near_light & where).astype(np.uint32)) for where in (~meet, meet)))
+        reach = cv2.dilate(reach, everywhere)  # the most blurred of what a pixel may see decides
+        for each in np.unique(reach):
+            window = _window(int(each))
+            meet |= (reach == each) & (cv2.dilate(shapes, window) != cv2.erode(shapes, window))
+    return Survey(*(_in_blocks(near_light & where) for where in (~meet, meet)))
+
+
+def _window(reach: int) -> np.ndarray:
+    return np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
+
+
+def _in_blocks(where: np.ndarray) -> mi.UInt32:
+    """Numbers of the pixels where ``where`` (rows, cols) is true, block by block."""
+    order = blocks(where.shape)
+    return mi.UInt32(order[where.ravel()[order]])
+
+
+@lru_cache(maxsize=4)
+def blocks(shape: tuple[int, int]) -> np.ndarray:
+    """Numbers of all pixels of a picture of ``shape``, (rows * cols,) uint32, block by block.
+
+    Rays that are traced together meet the fewest triangles where their pixels lie in a square.
+    """
+    rows, cols = shape
+    row, col = np.divmod(np.arange(rows * cols, dtype=np.uint32), np.uint32(cols))
+    return np.lexsort((col, row, col // BLOCK, row // BLOCK)).astype(np.uint32)
 
 
 def _in_reach(projector: LensProjector, p: mi.Point3f, wavelength_um: float) -> mi.Bool:

@@ -1,10 +1,14 @@
-"""Dr.Jit's arrays on the CPU: every module of the pipeline imports them from here, once libLLVM is found."""
+"""Dr.Jit's arrays on the CPU or a GPU, as `backend` says: every module of the pipeline imports them from here."""
 
-from greenough.instrument.llvm import ensure_llvm
+from typing import TYPE_CHECKING
 
-ensure_llvm()
+from greenough.instrument.backend import backend
 
-import drjit as dr  # noqa: E402  Dr.Jit loads libLLVM while it is imported: ensure_llvm must come first
-from drjit.llvm import Bool, Complex2f, Float, Float64, UInt8, UInt32  # noqa: E402  part of Dr.Jit: see there
+if TYPE_CHECKING or backend() == "llvm":
+    import drjit as dr  # after backend(), which finds libLLVM: Dr.Jit loads it while it is imported
+    from drjit.llvm import Array2u8, Array4f, Array4f64, Bool, Complex2f, Float, Float64, UInt8, UInt32
+else:
+    import drjit as dr
+    from drjit.cuda import Array2u8, Array4f, Array4f64, Bool, Complex2f, Float, Float64, UInt8, UInt32
 
-__all__ = ["Bool", "Complex2f", "Float", "Float64", "UInt8", "UInt32", "dr"]
+__all__ = ["Array2u8", "Array4f", "Array4f64", "Bool", "Complex2f", "Float", "Float64", "UInt8", "UInt32", "dr"]

@@ -36,10 +36,10 @@ SLOPE_TOLERANCE = 0.1
 """Largest relative departure of a pixel's dz/dΦ from the median pixel's. Over the narrow field of a stereomicroscope it
 varies by 2 %; a pixel that sees the board's side wall, which passes by as the stage moves, has another one."""
 
-STRIP_PHASES = 4_000_000
+STRIP_PHASES = 8_000_000
 """How many phases of all planes together are worked at."""
 
-_SAMPLE = 4000  # of the picture's pixels, whose condition is looked at
+_SAMPLE = 1000  # of the picture's pixels, whose condition is looked at
 _INVERSE_STEPS = 4  # r3 w³ is a few micrometres: each squares the error
 
 

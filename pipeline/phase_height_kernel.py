@@ -1,13 +1,14 @@
-"""The fit of eq. 17 to planes at known heights, for many pixels at once: one kernel, in which each pixel is a lane.
+"""The fit of eq. 17 to planes at known heights, for many pixels at once: each pixel is a lane of the same kernels.
 
-The planes are gone through five times, and what is needed of them is summed up on the way: their extent, the normal
-equations of eq. 19, those of two Gauss-Newton steps, and the residuals. Sums and their solution are in double
-precision: where a pixel saw a few planes at one end alone, w³ is all but a sum of the other columns, and what is left
-of it, squared, would drown in single precision.
+The planes are gone through five times, and what is needed of them is added up on the way: their extent, the normal
+equations of eq. 19, those of two Gauss-Newton steps, and the residuals. All in double precision: where a pixel saw a
+few planes at one end alone, w³ is all but a sum of the other columns. What it has of its own is then so little that the
+rounding of single precision, even of the columns alone, moves heights by more than a tenth of their noise.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -15,6 +16,14 @@ from .jit import Bool, Float, Float64, UInt32, dr
 
 _REFINEMENTS = 2
 _LEAST_PIVOT = 1e-10  # share of a column's square that the columns before it lack
+_PLANES_AT_ONCE = 32  # of which a kernel is made: it takes longer to compile with every one
+
+
+Phase = Float | Float64
+"""Of every pixel in one plane."""
+
+Plane = tuple[Phase, Float64]
+"""With its height."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,63 +68,84 @@ def fit_pixels(phases: np.ndarray, z_mm: np.ndarray, min_planes: int, misfit_rad
     misfit_rad : float
         By less than which every plane must keep to a pixel's relation; a pixel that fails is not fitted.
     """
-    planes = _Planes.of(phases, z_mm)
-    extent = planes.extent()
+    kind = Float64 if phases.dtype == np.float64 else Float
+    planes = [(kind(np.ascontiguousarray(phase)), dr.opaque(Float64, z)) for phase, z in zip(phases, z_mm, strict=True)]
+    extent = _extent_of(planes)
     usable = (extent.count >= min_planes) & (extent.high > extent.low)
     # The stored numbers are float32: normalise with exactly what will be stored.
     centre = Float(dr.select(usable, (extent.low + extent.high) / 2, 0))
     half_range = Float(dr.select(usable, (extent.high - extent.low) / 2, 1))
+    middle, per_rad = Float64(centre), 1 / Float64(half_range)
+    dr.eval(usable, middle, per_rad)
 
-    def point(k: UInt32) -> tuple[Bool, Float64, Float64]:
-        """Whether plane k counts, its normalised phase (0 if not), its height."""
-        phase, z = planes.at(k)
+    def normalised(phase: Phase) -> tuple[Bool, Float64]:
+        """Which phases count, and what they are between the ends of their range; 0 if they do not count."""
         counts = dr.isfinite(phase) & usable
-        return counts, dr.select(counts, (phase - Float64(centre)) / Float64(half_range), 0), z
+        return counts, dr.select(counts, (Float64(phase) - middle) * per_rad, 0)
 
-    def eq_19(k: UInt32) -> tuple[list[Float64], Float64]:
+    def eq_19(phase: Phase, z: Float64) -> tuple[list[Float64], Float64]:
         """m1 t - n1 t z + m0 = z."""
-        counts, t, z = point(k)
+        counts, t = normalised(phase)
         one = dr.select(counts, Float64(1), 0)
         return [t, one, -t * z], one * z
 
-    m1, m0, n1 = planes.least_squares(eq_19, 3)
-    r3 = dr.zeros(Float64, planes.pixels)
+    def eq_18(
+        m1: Float64, m0: Float64, n1: Float64, r3: Float64, phase: Phase, z: Float64
+    ) -> tuple[list[Float64], Float64]:
+        """Height by steps of the four coefficients: what is missing to the stated one."""
+        counts, t = normalised(phase)
+        inverse = 1 / (n1 * t + 1)
+        w = (m1 * t + m0) * inverse
+        cube = w * w * w
+        slope = dr.select(counts, (1 + 3 * r3 * w * w) * inverse, 0)  # dz/dw times dw/d(numerator)
+        return [slope * t, slope, -slope * t * w, dr.select(counts, cube, 0)], z - w - r3 * cube
+
+    coefficients = [*_least_squares(planes, eq_19, 3), dr.zeros(Float64, phases.shape[1])]
+    dr.eval(*coefficients)
     for _ in range(_REFINEMENTS):
+        steps = _least_squares(planes, partial(eq_18, *coefficients), 4)
+        coefficients = [value + step for value, step in zip(coefficients, steps, strict=True)]
+        dr.eval(*coefficients)
 
-        def eq_18(k: UInt32, m1=m1, m0=m0, n1=n1, r3=r3) -> tuple[list[Float64], Float64]:
-            counts, t, z = point(k)
-            inverse = 1 / (n1 * t + 1)
-            w = (m1 * t + m0) * inverse
-            cube = w * w * w
-            slope = dr.select(counts, (1 + 3 * r3 * w * w) * inverse, 0)  # dz/dw times dw/d(numerator)
-            return [slope * t, slope, -slope * t * w, dr.select(counts, cube, 0)], z - w - r3 * cube
-
-        step = planes.least_squares(eq_18, 4)
-        m1, m0, n1, r3 = m1 + step[0], m0 + step[1], n1 + step[2], r3 + step[3]
-
-    residuals = dr.full(Float, dr.nan, len(phases) * planes.pixels)
-
-    def judge(k: UInt32, worst: Float64, squares: Float64) -> tuple[Float64, Float64]:
-        counts, t, z = point(k)
+    def residual_of(phase: Phase, z: Float64) -> tuple[Bool, Float64]:
+        """Which residuals, fitted minus stated height, count; and all of them."""
+        counts, t = normalised(phase)
+        m1, m0, n1, r3 = coefficients
         w = (m1 * t + m0) / (n1 * t + 1)
-        residual = dr.select(counts, w + r3 * w * w * w - z, 0)
-        dr.scatter(residuals, Float(residual), planes.place(k), counts)
-        size = dr.select(dr.isfinite(residual), dr.abs(residual), dr.inf)
-        return dr.maximum(worst, size), squares + residual * residual
+        return counts, w + r3 * w * w * w - z
 
-    worst, squares = planes.over(judge, [dr.zeros(Float64, planes.pixels) for _ in range(2)])
-    good = usable & (worst < misfit_rad * (extent.z_high - extent.z_low) / (2 * Float64(half_range)))
-    rms = dr.sqrt(squares / dr.maximum(Float64(extent.count), 1))
-    results = [
-        Float(dr.select(good, value, dr.nan))
-        for value in (m1, m0, n1, r3, centre, half_range, extent.z_low, extent.z_high, rms)
-    ]
-    dr.eval(*results, good, residuals)
-    counted = dr.tile(good, len(phases)) & dr.isfinite(residuals)
-    sums = dr.block_sum(dr.select(counted, Float64(residuals), 0), planes.pixels)
-    counts = dr.block_sum(dr.select(counted, UInt32(1), 0), planes.pixels)
-    values = np.array([np.array(result) for result in results])
-    return PixelFits(values[:4], values[4], values[5], values[6:8], values[8], np.array(sums), np.array(counts))
+    limit = misfit_rad * (extent.z_high - extent.z_low) / 2 * per_rad
+
+    def judged(astray: Bool, squares: Float64, phase: Phase, z: Float64) -> list[Bool | Float64]:
+        counts, residual = residual_of(phase, z)
+        near = dr.abs(residual) < limit  # not where it is NaN
+        return [astray | (counts & ~near), squares + dr.select(counts, residual * residual, 0)]
+
+    astray, squares = _folded(planes, judged, [Bool(False), Float64(0)])
+    good = usable & ~astray
+    rms = dr.sqrt(squares / Float64(extent.count))
+    values = [*coefficients, centre, half_range, extent.z_low, extent.z_high, rms]
+    results = [Float(dr.select(good, value, dr.nan)) for value in values]
+    dr.eval(good, *results)
+    sums, counted = [], []
+    for first in range(0, len(planes), _PLANES_AT_ONCE):
+        kept = []
+        for phase, z in planes[first : first + _PLANES_AT_ONCE]:
+            counts, residual = residual_of(phase, z)
+            kept.append((good & counts, dr.select(good & counts, residual, 0)))
+        dr.eval(kept)
+        sums += [dr.sum(residual) for _, residual in kept]
+        counted += [dr.count(which) for which, _ in kept]
+    table = np.array([np.array(result) for result in results])
+    return PixelFits(
+        coefficients=table[:4],
+        centre=table[4],
+        half_range=table[5],
+        z_range=table[6:8],
+        rms_mm=table[8],
+        residual_sum_mm=np.concatenate(sums),
+        residual_count=np.concatenate(counted),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,75 +153,55 @@ class _Extent:
     """Of each pixel over the planes in which it has a phase."""
 
     count: UInt32
-    low: Float64  # phase, rad
-    high: Float64
+    low: Phase
+    high: Phase
     z_low: Float64
     z_high: Float64
 
 
-@dataclass(frozen=True, eq=False)
-class _Planes:
-    """Phases and heights on the device, and loops over them."""
-
-    phases: Float | Float64
-    heights: Float64
-    count: UInt32  # opaque like ``stride``, so that one kernel is compiled for any number of planes and pixels
-    stride: UInt32
-    pixels: int
-
-    @classmethod
-    def of(cls, phases: np.ndarray, z_mm: np.ndarray) -> "_Planes":
-        count, pixels = phases.shape
-        kind = Float64 if phases.dtype == np.float64 else Float
-        sizes = dr.opaque(UInt32, count), dr.opaque(UInt32, pixels)
-        return cls(kind(np.ascontiguousarray(phases).ravel()), Float64(z_mm), *sizes, pixels)
-
-    def place(self, k: UInt32) -> UInt32:
-        """Of each pixel's phase in plane k."""
-        return k * self.stride + dr.arange(UInt32, self.pixels)
-
-    def at(self, k: UInt32) -> tuple[Float64, Float64]:
-        """Phase of each pixel in plane k, and its height."""
-        return Float64(dr.gather(type(self.phases), self.phases, self.place(k))), dr.gather(Float64, self.heights, k)
-
-    def over(self, body: Callable[..., Sequence[dr.ArrayBase]], state: Sequence[dr.ArrayBase]) -> tuple:
-        """The state after ``state = body(k, *state)`` for every plane k."""
-        return dr.while_loop(
-            (UInt32(0), *state),
-            lambda k, *state: k < self.count,
-            lambda k, *state: (k + 1, *body(k, *state)),
-        )[1:]
-
-    def extent(self) -> _Extent:
-        def widened(k, count, low, high, z_low, z_high):
-            phase, z = self.at(k)
-            seen = dr.isfinite(phase)
-            return (
-                dr.select(seen, count + 1, count),
-                dr.select(seen, dr.minimum(low, phase), low),
-                dr.select(seen, dr.maximum(high, phase), high),
-                dr.select(seen, dr.minimum(z_low, z), z_low),
-                dr.select(seen, dr.maximum(z_high, z), z_high),
-            )
-
-        ends = [dr.full(Float64, value, self.pixels) for value in (dr.inf, -dr.inf, dr.inf, -dr.inf)]
-        return _Extent(*self.over(widened, [dr.zeros(UInt32, self.pixels), *ends]))
-
-    def least_squares(self, row: Callable[[UInt32], tuple[list[Float64], Float64]], unknowns: int) -> list[Float64]:
-        """Least squares by the normal equations of the rows, coefficients and target, that the planes have."""
-        pairs = [(i, j) for i in range(unknowns) for j in range(i + 1)]
-
-        def added(k: UInt32, *sums: Float64) -> list[Float64]:
-            columns, target = row(k)
-            terms = [columns[i] * columns[j] for i, j in pairs] + [column * target for column in columns]
-            return [total + term for total, term in zip(sums, terms, strict=True)]
-
-        zero = [dr.zeros(Float64, self.pixels) for _ in range(len(pairs) + unknowns)]
-        sums = self.over(added, zero)
-        return _solve(dict(zip(pairs, sums[: len(pairs)], strict=True)), sums[len(pairs) :])
+def _folded(planes: Sequence[Plane], step: Callable[..., list], state: list) -> list:
+    """``state = step(*state, phase, z)`` for one plane after the other."""
+    for k, plane in enumerate(planes, 1):
+        state = step(*state, *plane)
+        if k % _PLANES_AT_ONCE == 0:
+            dr.eval(*state)
+    return state
 
 
-def _solve(normal: dict[tuple[int, int], Float64], right: Sequence[Float64]) -> list[Float64]:
+def _extent_of(planes: Sequence[Plane]) -> _Extent:
+    # Comparisons instead of minimum and maximum, for which some LLVMs have no instructions in double precision.
+    def widened(count, low, high, z_low, z_high, phase, z):
+        seen = dr.isfinite(phase)
+        return [
+            dr.select(seen, count + 1, count),
+            dr.select(seen & (phase < low), phase, low),
+            dr.select(seen & (phase > high), phase, high),
+            dr.select(seen & (z < z_low), z, z_low),
+            dr.select(seen & (z > z_high), z, z_high),
+        ]
+
+    kind = type(planes[0][0])
+    start = [UInt32(0), kind(dr.inf), kind(-dr.inf), Float64(dr.inf), Float64(-dr.inf)]
+    return _Extent(*_folded(planes, widened, start))
+
+
+def _least_squares(
+    planes: Sequence[Plane], row: Callable[[Phase, Float64], tuple[list[Float64], Float64]], unknowns: int
+) -> list[Float64]:
+    """Least squares of the equations that ``row`` makes of each plane: coefficients of the unknowns, and a target."""
+    pairs = [(i, j) for i in range(unknowns) for j in range(i + 1)]
+
+    def added(*sums_and_plane) -> list[Float64]:
+        *sums, phase, z = sums_and_plane
+        columns, target = row(phase, z)
+        factors = [(columns[i], columns[j]) for i, j in pairs] + [(column, target) for column in columns]
+        return [dr.fma(a, b, total) for (a, b), total in zip(factors, sums, strict=True)]
+
+    sums = _folded(planes, added, [Float64(0)] * (len(pairs) + unknowns))
+    return _solved(dict(zip(pairs, sums[: len(pairs)], strict=True)), sums[len(pairs) :])
+
+
+def _solved(normal: dict[tuple[int, int], Float64], right: Sequence[Float64]) -> list[Float64]:
     """Solve normal equations, given by the entries (i, j <= i), by Cholesky's factors; zero where singular."""
     n = len(right)
     # Columns scaled to unit length: the pivots below are then the share of each column that the earlier ones lack.

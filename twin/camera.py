@@ -44,10 +44,15 @@ def expose(electrons: list[mi.Float], sensor: Sensor, seed: int, run: str, first
     """
     section = sensor.section
     dtype = {0: np.float32, 8: np.uint8, 16: np.uint16}[section.bits]
-    stack = np.empty((len(electrons), section.rows, section.cols), dtype)
+    # All kernels are launched before the first result is waited for; whole grey values of 8 bits travel as such.
+    kind = dr.uint8_array_t(mi.Float) if section.bits == 8 else mi.Float
+    frames = []
     for k, mean in enumerate(electrons):
-        grey = _read_out(mean, sensor, exposure_key(seed, run, first_serial + k))
-        stack[k] = np.array(grey).reshape(section.rows, section.cols)
+        frames.append(kind(_read_out(mean, sensor, exposure_key(seed, run, first_serial + k))))
+        dr.eval(frames[-1])
+    stack = np.empty((len(electrons), section.rows, section.cols), dtype)
+    for k, frame in enumerate(frames):
+        stack[k] = frame.numpy().reshape(section.rows, section.cols)
     return stack
 
 

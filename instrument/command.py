@@ -1,15 +1,17 @@
 """The ``greenough`` command: a root that collects its verbs from the installed packages."""
 
+import os
 import signal
 import sys
 import traceback
 from collections.abc import Iterable, Sequence
 from importlib.metadata import EntryPoint, entry_points
 from types import FrameType
-from typing import NoReturn
+from typing import Annotated, NoReturn
 
 import typer
 
+from .backend import VARIABLE, VARIANTS
 from .errors import InputError
 
 GROUP = "greenough.commands"
@@ -56,8 +58,21 @@ def collect(sources: Iterable[EntryPoint]) -> typer.Typer:
     )
 
     @root.callback()
-    def greenough() -> None:
+    def greenough(
+        variant: Annotated[
+            str | None,
+            typer.Option(
+                "--variant",
+                metavar="|".join(VARIANTS),
+                help=f"Where to render and decode, as ${VARIABLE}. [default: on a GPU where there is one]",
+            ),
+        ] = None,
+    ) -> None:
         """Calibrate a fringe-projection profilometer, measure with it, and compare with what should be there."""
+        if variant is not None:
+            if variant not in VARIANTS:
+                raise InputError(f"--variant {variant!r} cannot render fringe stacks: use one of {', '.join(VARIANTS)}.")
+            os.environ[VARIABLE] = variant  # verbs import what computes only after this
 
     for source in sorted(sources, key=lambda source: source.name):
         try:

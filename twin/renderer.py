@@ -1,12 +1,11 @@
 """Mitsuba and Dr.Jit, ready to render: every module of the twin imports the two from here.
 
-The variant is the one that is already set, else ``$GREENOUGH_VARIANT``, else ``llvm_ad_mono``. One pass over all
-patterns needs a compiled kernel, and a fringe stack is monochrome, so only ``llvm_ad_mono`` and ``cuda_ad_mono`` will
-do.
+The variant is the one that is already set in this process, else that of ``greenough.instrument.backend``: the user's
+choice, else ``cuda_ad_mono`` where there is a GPU and ``llvm_ad_mono`` elsewhere. One pass over all patterns needs a
+compiled kernel, and a fringe stack is monochrome, so that no other variant will do.
 """
 
-import os
-
+from greenough.instrument.backend import VARIANTS, backend
 from greenough.instrument.errors import InputError
 from greenough.instrument.llvm import ensure_llvm
 
@@ -15,12 +14,10 @@ ensure_llvm()
 import drjit as dr  # noqa: E402  Dr.Jit loads libLLVM while it is imported: ensure_llvm must come first
 import mitsuba as mi  # noqa: E402  imports Dr.Jit
 
-VARIANTS = ("llvm_ad_mono", "cuda_ad_mono")
-
-_wanted = mi.variant() or os.environ.get("GREENOUGH_VARIANT", VARIANTS[0])
-if _wanted not in VARIANTS:
-    raise InputError(f"Mitsuba variant {_wanted!r} cannot render fringe stacks: use one of {', '.join(VARIANTS)}.")
-if mi.variant() is None:
-    mi.set_variant(_wanted)
+_set_before = mi.variant()
+if _set_before is None:
+    mi.set_variant(f"{backend()}_ad_mono")
+elif _set_before not in VARIANTS:
+    raise InputError(f"Mitsuba variant {_set_before!r} cannot render fringe stacks: use one of {', '.join(VARIANTS)}.")
 
 __all__ = ["dr", "mi"]

@@ -212,3 +212,32 @@ def test_the_installed_command_answers() -> None:
     done = subprocess.run([command, "check", "no-such-rig"], capture_output=True, text=True)
     assert done.returncode == 2
     assert "greenough: no rig no-such-rig: give a built-in name (twin) or the path of a rig file.\n" in done.stderr
+
+
+CHOSEN = """
+import os
+import typer
+
+app = typer.Typer()
+
+@app.command()
+def where():
+    print(os.environ.get("GREENOUGH_VARIANT"))
+
+@app.command()
+def other():
+    pass
+"""
+
+
+@pytest.mark.parametrize("variant", ["llvm_ad_mono", "cuda_ad_mono"])
+def test_the_variant_is_chosen_for_every_verb_before_it_runs(install, monkeypatch, capsys, variant):
+    monkeypatch.setenv("GREENOUGH_VARIANT", "that of the shell")
+    assert run(["--variant", variant, "where"], [install("chosen", CHOSEN)]) == 0
+    assert capsys.readouterr().out.strip() == variant
+
+
+def test_a_variant_that_cannot_render_fringes_is_refused_with_those_that_can(install, monkeypatch, capsys):
+    monkeypatch.setenv("GREENOUGH_VARIANT", "that of the shell")
+    assert run(["--variant", "scalar_rgb", "where"], [install("refused", CHOSEN)]) == 2
+    assert "'scalar_rgb' cannot render fringe stacks: use one of cuda_ad_mono, llvm_ad_mono" in capsys.readouterr().err

@@ -104,7 +104,8 @@ def calibrate_by_methods(
 
     Every finished posture and plane is kept in ``OUT.partial``, beside the first of ``outs``; when the run is
     interrupted, the same call with a rig opened at ``exposures_done=Unfinished.beside(out).exposures`` goes on from
-    there, to the same calibrations. The folder is removed when they have been written.
+    there, to the same calibrations. The planes are read from there by strips of the picture, so that memory does not
+    grow with their number. The folder is removed when the calibrations have been written.
 
     Parameters
     ----------
@@ -140,10 +141,13 @@ def calibrate_by_methods(
             made[method] = METHODS[method].calibrate(data)
     if with_planes:
         data = _acquire_planes(data, acquire, heights)
-        planes = [f"plane-{name}" for name in (ZERO, *(f"{k:02d}" for k in range(len(heights))))]
-        with unfinished.repeated_on_refusal(planes):
+        planes = [f"plane-{k:02d}" for k in range(len(heights))]
+        with (
+            unfinished.repeated_on_refusal([f"plane-{ZERO}", *planes]),
+            unfinished.stacked(planes, "phase_rad") as phases,
+        ):
             for method in with_planes:
-                made[method] = METHODS[method].calibrate(data)
+                made[method] = METHODS[method].calibrate(replace(data, phases=phases))
     for method, out in outs.items():
         made[method].save(out)
     unfinished.remove()
@@ -194,19 +198,15 @@ def _acquire_postures(
 
 
 def _acquire_planes(data: CalibrationData, acquire: "_Acquirer", heights: np.ndarray) -> CalibrationData:
-    """The same data with all planes, done or kept from before."""
+    """The same data with all planes, done or kept from before, but their phases, which stay in files."""
     # The blank side first lies where the printed one lay, before the stage moves: this is z = 0 of both.
     phase_at_zero, _ = acquire.plane(ZERO, 0.0)
-    phases = np.empty((len(heights), *phase_at_zero.shape), dtype=np.float32)
-    readings = np.empty(len(heights))
-    for k, height in enumerate(heights):
-        phases[k], readings[k] = acquire.plane(f"{k:02d}", height)
+    readings = [acquire.plane(f"{k:02d}", height)[1] for k, height in enumerate(heights)]
     return replace(
         data,
         exposures=max(data.exposures, acquire.exposures),
         phase_at_zero=phase_at_zero,
-        phases=phases,
-        readings_mm=readings,
+        readings_mm=np.array(readings),
     )
 
 

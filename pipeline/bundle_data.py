@@ -112,10 +112,12 @@ def block_averages(image: np.ndarray) -> PlaneBlocks:
     mean departs from the phase at the mean pixel by 1e-4 rad, alike everywhere.
     """
     valid = np.isfinite(image)
-    v, u = np.mgrid[: image.shape[0], : image.shape[1]]
-    u, v, phase = (block_map(np.where(valid, values, np.nan)) for values in (u, v, image))
-    enough = np.isfinite(phase)
-    return PlaneBlocks(np.stack([u[enough], v[enough]], axis=-1), phase[enough])
+    v, u = (np.arange(float(n)) for n in image.shape)
+    count = _block_sums(valid.astype(float), block_side(image.shape[1]))
+    means = [_block_means(values, count) for values in (valid * u, valid * v[:, None], np.where(valid, image, 0.0))]
+    enough = np.isfinite(means[0])
+    u, v, phase = (mean[enough] for mean in means)
+    return PlaneBlocks(np.stack([u, v], axis=-1), phase)
 
 
 def block_side(cols: int) -> int:
@@ -125,10 +127,17 @@ def block_side(cols: int) -> int:
 
 def block_map(image: np.ndarray) -> np.ndarray:
     """Means (grid rows, grid cols) over the blocks of `block_averages`, NaN where too few pixels are valid."""
+    valid = np.isfinite(image)
+    return _block_means(np.where(valid, image, 0.0), _block_sums(valid.astype(float), block_side(image.shape[1])))
+
+
+def _block_means(image: np.ndarray, count: np.ndarray) -> np.ndarray:
+    """Means over blocks of a map that is zero where invalid, of which ``count`` pixels are valid."""
     side = block_side(image.shape[1])
+    return np.where(count >= _MIN_FILL * side * side, _block_sums(image, side) / np.maximum(count, 1), np.nan)
+
+
+def _block_sums(image: np.ndarray, side: int) -> np.ndarray:
     rows, cols = (n // side for n in image.shape)
-    blocks = image[: rows * side, : cols * side].reshape(rows, side, cols, side).astype(float)
-    valid = np.isfinite(blocks)
-    count = valid.sum(axis=(1, 3))
-    mean = np.where(valid, blocks, 0.0).sum(axis=(1, 3)) / np.maximum(count, 1)
-    return np.where(count >= _MIN_FILL * side * side, mean, np.nan)
+    bands = image[: rows * side, : cols * side].reshape(rows, side, cols * side).sum(axis=1, dtype=float)
+    return bands.reshape(rows, cols, side).sum(axis=2)

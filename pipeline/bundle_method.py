@@ -1,5 +1,6 @@
 """The bundle's calibration: one smooth model of everything, the board's pitch and rigidity for a scale, no stage."""
 
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -33,10 +34,10 @@ def calibrate_by_bundle(data: CalibrationData) -> Calibration:
     InputError
         If there are too few phases at spots or too few planes, or no pixel can be calibrated.
     """
-    blocks = tuple(block_averages(phase) for phase in (data.phase_at_zero, *data.phases))
+    blocks = tuple(block_averages(phase) for phase in chain([data.phase_at_zero], data.phases))
     _check(blocks)
     readings = np.concatenate([[0.0], data.readings_mm])
-    observed = BundleData(data.spots, data.spot_phases, blocks)
+    observed = BundleData(data.spots, data.level_phases, blocks)
     bundle = solve_bundle(observed, data.camera, data.board, readings, data.path_drift_mm2)
 
     def surface(k: int, xy: np.ndarray) -> np.ndarray:
@@ -47,7 +48,7 @@ def calibrate_by_bundle(data: CalibrationData) -> Calibration:
     low, high = float(heights.min()), float(heights.max())
     rays, everywhere = model_maps(instrument, low, high)
     planes = plane_residuals(everywhere, rays, data.phases, surface)
-    relation = everywhere.within(everywhere.z_range, planes.count >= MIN_PLANES)
+    relation = everywhere.where(planes.count >= MIN_PLANES)
     if not relation.valid.any():
         raise InputError(
             f"no pixel has a valid phase in {MIN_PLANES} or more of the {len(data.phases)} planes: check that the "

@@ -16,9 +16,10 @@ from .camera_model import CameraModel
 from .instrument_model import InstrumentModel
 from .method import Method
 from .path_drift import walk_covariance
-from .phase_height import PhaseHeight
+from .phase_height import PhaseHeight, PlanePhases
 from .point_spread import PointSpread
 from .rays import Rays
+from .slope_blur import level_phases
 from .spots import Spots
 
 
@@ -49,7 +50,7 @@ class CalibrationData:
     phase_at_zero : (rows, cols) float32
         Absolute phase of the blank side where the flat board lay, rad; NaN where invalid, and if no method needed it.
     phases : (planes, rows, cols) float32
-        The same at the planes, of which there are none where no method needed them.
+        The same at the planes, of which there are none where no method needed them: an array, or one in a file.
     readings_mm : (planes,)
         The stage's.
     """
@@ -67,13 +68,18 @@ class CalibrationData:
     camera: CameraCalibration
     point_spread: PointSpread | None
     phase_at_zero: np.ndarray
-    phases: np.ndarray
+    phases: PlanePhases
     readings_mm: np.ndarray
 
     @property
     def centres_px(self) -> np.ndarray:
         """Where the spots' centres were found, (postures, spots, 2); NaN where unseen."""
         return np.array([spots.centres_px for spots in self.spots])
+
+    @property
+    def level_phases(self) -> tuple[SpotPhases, ...]:
+        """``spot_phases`` without what blur does to them on tilted boards, where the point spread is known."""
+        return level_phases(self.spot_phases, self.spots, self.camera.spot_heights(self.board), self.point_spread)
 
     @property
     def drift_share(self) -> float:

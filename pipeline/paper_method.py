@@ -8,7 +8,7 @@ from greenough.instrument.errors import InputError
 from .calibration import Calibration, Residuals
 from .calibration_data import CalibrationData
 from .calibration_uncertainty import CalibrationUncertainty, essential, frame_drift, grid_nodes
-from .phase_height import COEFFICIENTS, PhaseHeightFit, fit_phase_height
+from .phase_height import COEFFICIENTS, PhaseHeightFit, PlanePhases, fit_phase_height
 from .pixel_maps import PlaneResiduals, plane_residuals
 from .rays import points_at_height, rays_of_camera
 
@@ -108,7 +108,7 @@ def fitted_errors(heights: np.ndarray, z: np.ndarray) -> np.ndarray:
 
 
 def fit_planes(
-    phase_at_zero: np.ndarray, phases: np.ndarray, readings_mm: np.ndarray
+    phase_at_zero: np.ndarray, phases: PlanePhases, readings_mm: np.ndarray
 ) -> tuple[PhaseHeightFit, np.ndarray]:
     """Every pixel's relation, with the stage's readings taken for heights, and the heights of the planes.
 

@@ -103,7 +103,7 @@ class PhaseHeight:
         m1, m0, n1, r3 = np.moveaxis(self.coefficients.astype(np.float64), -1, 0)
         w = np.asarray(z, dtype=np.float64)
         for _ in range(_INVERSE_STEPS):
-            w = w - (w + r3 * w**3 - z) / (1 + 3 * r3 * w**2)
+            w = w - (w + r3 * w * w * w - z) / (1 + 3 * r3 * w * w)
         t = (w - m0) / (m1 - n1 * w)
         return np.where(self.valid, self.phase_centre + self.phase_half_range.astype(np.float64) * t, np.nan)
 
@@ -135,10 +135,17 @@ class PhaseHeight:
             unit = 1 + n1 * shift
             coefficients = np.stack([m1 * scale / unit, (m0 + m1 * shift) / unit, n1 * scale / unit, r3], axis=-1)
 
-        def kept(values: np.ndarray) -> np.ndarray:
-            return np.where(valid.reshape(valid.shape + (1,) * (values.ndim - 2)), values, np.nan).astype(np.float32)
+        return PhaseHeight(coefficients.astype(np.float32), centre, half_range, z_range, valid).where(valid)
 
-        return PhaseHeight(kept(coefficients), kept(centre), kept(half_range), kept(z_range), valid)
+    def where(self, valid: np.ndarray) -> "PhaseHeight":
+        """The same relation, known in fewer pixels: those of ``valid``, (rows, cols) bool."""
+        valid = valid & self.valid
+
+        def kept(values: np.ndarray) -> np.ndarray:
+            return np.where(valid.reshape(valid.shape + (1,) * (values.ndim - 2)), values, np.float32(np.nan))
+
+        known = (self.coefficients, self.phase_centre, self.phase_half_range, self.z_range.astype(np.float32))
+        return PhaseHeight(*map(kept, known), valid)
 
     def covers(self, phase: np.ndarray, margin_mm: float) -> np.ndarray:
         """Where a phase (rows, cols) lies in the pixel's calibrated range, or outside by a height of ``margin_mm``.

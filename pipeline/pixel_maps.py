@@ -13,7 +13,7 @@ from scipy.interpolate import RectBivariateSpline
 from .bundle_data import block_map, block_side
 from .instrument_model import InstrumentModel
 from .jit import dr
-from .phase_height import MISFIT_RAD, PhaseHeight, fit_phase_height
+from .phase_height import MISFIT_RAD, PhaseHeight, PlanePhases, fit_phase_height
 from .rays import Rays
 
 _GRID_PX = 8
@@ -81,7 +81,7 @@ class PlaneResiduals:
     count: np.ndarray
 
 
-def plane_residuals(relation: PhaseHeight, rays: Rays, phases: np.ndarray, surface: Surface) -> PlaneResiduals:
+def plane_residuals(relation: PhaseHeight, rays: Rays, phases: PlanePhases, surface: Surface) -> PlaneResiduals:
     """Compare planes, whose absolute phases are (planes, rows, cols) with NaN where invalid, with a relation."""
     rows, cols = relation.shape
     side = block_side(cols)

@@ -2,7 +2,7 @@
 
 import json
 import shutil
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
@@ -21,6 +21,7 @@ KIND = "greenough calibration step"
 VERSION = 2
 
 _MANIFEST = "manifest.json"
+_STACK = "stack"
 _MEANING = {
     "rig": "another rig",
     "settings": "other settings of the rig (its file, its --set options or its seed)",
@@ -114,6 +115,21 @@ class Unfinished:
             file.create_group("arrays")
             for key, values in step.arrays.items():
                 hdf5.put(file, f"arrays/{key}", values, _units(key))
+
+    @contextmanager
+    def stacked(self, names: Sequence[str], key: str) -> Iterator[h5py.Dataset]:
+        """The arrays ``key`` of several finished steps as one, (steps, ...), while the body runs.
+
+        Nothing is copied: what is asked for is read from the steps' files, so that memory does not grow with them.
+        """
+        first = self.step(names[0])
+        assert first is not None
+        one = first.arrays[key]
+        layout = h5py.VirtualLayout((len(names), *one.shape), one.dtype)
+        for k, name in enumerate(names):
+            layout[k] = h5py.VirtualSource(self._path(name).name, f"arrays/{key}", one.shape)  # beside the stack's file
+        with h5py.File(self.folder / _STACK, "w", libver=("v110", "v110")) as file:
+            yield file.create_virtual_dataset(key, layout, fillvalue=np.nan)
 
     @contextmanager
     def repeated_on_refusal(self, names: Iterable[str]) -> Iterator[None]:

@@ -9,6 +9,8 @@ import typer
 from greenough.instrument.progress import progress
 from greenough.instrument.verbs import JsonOption, RigArgument, SetOption, show
 
+from .benchmarks.required import REQUIRED, Section
+
 app = typer.Typer()
 
 
@@ -111,6 +113,7 @@ def accept(
 @app.command()
 def bench(
     rig: Annotated[str, typer.Argument(metavar="[RIG]", help="A twin.")] = "twin",
+    only: Annotated[Section | None, typer.Option("--only", help="One section of the table. [default: all]")] = None,
     settings: SetOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -118,13 +121,14 @@ def bench(
 
     Exits with 1 if a row is missing or does not keep to its limit.
     """
-    from .benchmark import benchmark
-    from .studies.cluster_benchmark import two_workers
+    from .benchmarks.environment import environment
+    from .benchmarks.table import bench as run
+    from .benchmarks.table import weight
 
-    with progress(6, "bench", quiet=as_json) as advance:
-        workers = two_workers(rig, settings or [])
-        advance(1)
-        rows = [*benchmark(rig, settings or [], advance), workers]
-    show({"rows": [asdict(row) for row in rows]}, as_json)
-    if any(row.holds is False for row in rows):
+    sections = [only] if only else list(REQUIRED)
+    with progress(weight(sections), "bench", quiet=as_json) as advance:
+        table = run(rig, settings or [], sections, advance)
+    beside = {"not_holding": table.not_holding, "missing": dict(table.missing), "environment": environment()}
+    show({"rows": [asdict(row) for row in table.rows], **beside}, as_json)
+    if not table.holds:
         raise typer.Exit(1)

@@ -5,12 +5,12 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from ..benchmarks.rows import Row
-from .cluster import dask, on_cluster
-from .experiments import experiment
-from .runs import Run, runs_of
-from .study import run_study
-from .study_file import StudyFile
+from ..studies.cluster import dask, on_cluster
+from ..studies.experiments import experiment
+from ..studies.runs import Run, runs_of
+from ..studies.study import run_study
+from ..studies.study_file import StudyFile
+from .rows import Row, limited
 
 STUDY = StudyFile.model_validate(
     {
@@ -28,7 +28,7 @@ LIMIT = 0.6
 """Of the time that one worker takes."""
 
 
-def two_workers(rig_name: str, overrides: Sequence[str] = ()) -> Row:
+def rows(rig_name: str, overrides: Sequence[str]) -> list[Row]:
     """Time the same study on a local Dask cluster of one worker of one thread, and of two.
 
     The workers have been started and have loaded what they need. Raises InputError where Dask is not installed.
@@ -36,7 +36,7 @@ def two_workers(rig_name: str, overrides: Sequence[str] = ()) -> Row:
     runs = runs_of(STUDY.model_copy(update={"rig": rig_name}), overrides)
     one, two = (_seconds(runs, workers) for workers in (1, 2))
     name = f"study of {len(runs)} instruments, two workers of one thread"
-    return Row(name, two, "s", "the same, one worker", two / one, LIMIT, two / one <= LIMIT)
+    return [limited(name, two, "s", "the same, one worker", two / one, LIMIT)]
 
 
 def _seconds(runs: Sequence[Run], workers: int) -> float:

@@ -1,0 +1,92 @@
+"""The table that `greenough bench` prints: every section in turn, and which rows are missing for what reason."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from importlib.util import find_spec
+
+from greenough.instrument.errors import InputError
+
+from .required import REQUIRED, Section
+from .rows import Row
+
+WEIGHTS: Mapping[Section, int] = {"startup": 2, "capturing": 3, "scaling": 20, "study": 6}
+"""Each section's share of the progress, which is about its share of the time."""
+
+PEERS: Mapping[Section, tuple[str, ...]] = {}
+"""Modules of other people without which a section has not all rows."""
+
+INSTALL: Mapping[str, str] = {
+    # Its own requirements would replace OpenCV by another build.
+    "fringes": "pip install 'greenough[bench]' and then pip install --no-deps fringes",
+}
+"""How to get a peer that is not installed; make bench does."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """What was measured.
+
+    Parameters
+    ----------
+    rows : tuple of Row
+    missing : mapping of str to str
+        Names of rows that should be there and are not, each with the reason.
+    """
+
+    rows: tuple[Row, ...]
+    missing: Mapping[str, str]
+
+    @property
+    def not_holding(self) -> list[str]:
+        """Names of rows that do not keep to their limit."""
+        return [row.name for row in self.rows if row.holds is False]
+
+    @property
+    def holds(self) -> bool:
+        """Whether every row is there and none fails."""
+        return not self.missing and not self.not_holding
+
+
+def weight(sections: Iterable[Section]) -> int:
+    """Steps of progress that `bench` takes for these sections."""
+    return sum(WEIGHTS[section] for section in sections)
+
+
+def bench(
+    rig_name: str, overrides: Sequence[str], sections: Iterable[Section], advance: Callable[[float], None]
+) -> Table:
+    """Measure sections of the table one after the other.
+
+    Parameters
+    ----------
+    rig_name : str
+        A twin.
+    overrides : sequence of str
+        Settings of its rig file.
+    sections : iterable of Section
+        Rows of the others are not missed.
+    advance : callable
+        Called with the ``WEIGHTS`` of each section when it is done.
+
+    Raises
+    ------
+    InputError
+        If the rig is not a twin or its settings are refused. What a section refuses makes its rows missing instead.
+    """
+    from ...settings import load_twin_file
+
+    load_twin_file(rig_name, overrides)
+    rows: list[Row] = []
+    missing: dict[str, str] = {}
+    for section in sections:
+        absent = [peer for peer in PEERS.get(section, ()) if find_spec(peer) is None]
+        reason = "; ".join(f"{peer} is not installed: {INSTALL[peer]}" for peer in absent)
+        try:
+            rows.extend(import_module(f".{section}", __package__).rows(rig_name, overrides))
+        except InputError as error:
+            reason = str(error)
+        found = {row.name for row in rows}
+        missing |= {name: reason or f"{section} yielded no such row" for name in REQUIRED[section] if name not in found}
+        advance(WEIGHTS[section])
+    return Table(tuple(rows), missing)

@@ -10,6 +10,7 @@ import numpy as np
 
 from greenough.instrument.contract import CameraNoise, Frames
 from greenough.instrument.errors import InputError
+from greenough.instrument.packets import packed
 
 from .fringes import FringeSet
 from .grey_variance import GreyVariance, camera_variance, estimate_variance
@@ -77,7 +78,7 @@ def decode(
 
     # The kernel is compiled once per fringe set: what varies from call to call is opaque to it.
     black, full_scale = dr.opaque(Float, black_dn), dr.opaque(Float, full_scale_dn)
-    grey = [Float(UInt8(frame.ravel()) if stack.dtype == np.uint8 else Float(frame.ravel())) for frame in stack]
+    grey = [Float(UInt8(packed(frame)) if stack.dtype == np.uint8 else Float(packed(frame))) for frame in stack]
     background = sum(grey[1:], grey[0]) / len(grey) - black
     if noise is None:
         noise = estimate_variance(stack, fringes, black_dn, full_scale_dn)
@@ -131,4 +132,4 @@ def _per_pixel(value: float | np.ndarray, shape: tuple[int, ...]) -> Float:
         return dr.opaque(Float, value)
     if value.shape != shape:
         raise InputError(f"noise variance: its shape {value.shape} must be that of a frame, {shape}.")
-    return Float(np.ascontiguousarray(value, dtype=np.float32).ravel())
+    return Float(packed(value.astype(np.float32, copy=False)))

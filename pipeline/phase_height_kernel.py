@@ -12,6 +12,8 @@ from functools import partial
 
 import numpy as np
 
+from greenough.instrument.packets import packed
+
 from .jit import Bool, Float, Float64, UInt32, dr
 
 _REFINEMENTS = 2
@@ -69,7 +71,7 @@ def fit_pixels(phases: np.ndarray, z_mm: np.ndarray, min_planes: int, misfit_rad
         By less than which every plane must keep to a pixel's relation; a pixel that fails is not fitted.
     """
     kind = Float64 if phases.dtype == np.float64 else Float
-    planes = [(kind(np.ascontiguousarray(phase)), dr.opaque(Float64, z)) for phase, z in zip(phases, z_mm, strict=True)]
+    planes = [(kind(packed(phase)), dr.opaque(Float64, z)) for phase, z in zip(phases, z_mm, strict=True)]
     extent = _extent_of(planes)
     usable = (extent.count >= min_planes) & (extent.high > extent.low)
     # The stored numbers are float32: normalise with exactly what will be stored.

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from greenough.instrument.packets import packed
 from greenough.instrument.rigfile import CameraSection
 
 from .randomness import exposure_key, instrument_rng
@@ -32,7 +33,7 @@ def build_sensor(section: CameraSection, settings: CameraSettings, seed: int) ->
     pixels = section.rows * section.cols
     gain = 1 + settings.prnu * rng.standard_normal(pixels)
     offset = settings.dsnu_e * rng.standard_normal(pixels)
-    return Sensor(section, settings, mi.Float(gain.astype(np.float32)), mi.Float(offset.astype(np.float32)))
+    return Sensor(section, settings, *(mi.Float(packed(values.astype(np.float32))) for values in (gain, offset)))
 
 
 def expose(electrons: list[mi.Float], sensor: Sensor, seed: int, run: str, first_serial: int) -> np.ndarray:

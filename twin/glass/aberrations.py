@@ -8,6 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from greenough.instrument.packets import packed
+
 from .aiming import aim_exactly
 from .paraxial import DESIGN_WAVELENGTH_UM, paraxial
 from .placed import PlacedPath
@@ -53,9 +55,9 @@ def pencils(
     ``disk`` is (m, 2), or (n, m, 2) with others for each point. Rays are traced in double precision.
     """
     shape = len(points), disk.shape[-2]
-    x, y = (Double(np.repeat(points[:, axis], shape[1])) for axis in (0, 1))
+    x, y = (Double(packed(np.repeat(points[:, axis], shape[1]))) for axis in (0, 1))
     stop = path.prescription.stop_radius * np.broadcast_to(disk, (*shape, 2)).reshape(-1, 2)
-    start = aim_exactly(path, image_point(path, x, y), Double(stop[:, 0]), Double(stop[:, 1]), wavelength_um, False)
+    start = aim_exactly(path, image_point(path, x, y), Double(packed(stop[:, 0])), Double(packed(stop[:, 1])), wavelength_um, False)
     rays, passed = trace(path, start, wavelength_um, outwards=False, rims=sharp_rims(path))
     at_zero = np.stack([np.array(value) for value in at_height(rays, 0.0)], axis=-1)
     slope = np.stack([np.array(rays.l / rays.n), np.array(rays.m / rays.n)], axis=-1)

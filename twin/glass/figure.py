@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from greenough.instrument.files import atomic_path
+from greenough.instrument.packets import packed
 
 from ..diffraction import airy_radius
 from ..renderer import dr
@@ -181,7 +182,7 @@ def _curves(axes: Axes, x: np.ndarray, curves: dict[str, np.ndarray], label: str
 
 def _drawn_rays(path: PlacedPath, field_x: float) -> list[tuple[np.ndarray, np.ndarray]]:
     """(z, x) of rays from the specimen's (field_x, 0, 0) through five points of the stop, surface by surface."""
-    heights = Double(np.linspace(-1, 1, 5) * path.prescription.stop_radius)
+    heights = Double(packed(np.linspace(-1, 1, 5) * path.prescription.stop_radius))
     zero = dr.zeros(Double, 5)
     rays = aim_exactly(path, (zero + field_x, zero, zero), heights, zero, DESIGN_WAVELENGTH_UM, outwards=True)
     z, x = [np.zeros(5)], [np.full(5, field_x)]

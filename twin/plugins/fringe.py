@@ -37,6 +37,8 @@ from functools import partial
 import cv2
 import numpy as np
 
+from greenough.instrument.packets import packed
+
 from ..glass.paraxial import DESIGN_WAVELENGTH_UM
 from ..glass.spectrum import Spectrum
 from ..quadrature import nodes
@@ -290,7 +292,7 @@ def _diffracted(channels: list[mi.Float], lit: mi.Bool, sensor: LensSensor) -> l
     def one(picture: np.ndarray) -> np.ndarray:
         out = np.zeros((rows, cols), np.float32)
         out[inside] = sensor.diffract(picture[box])[kept]
-        return out.ravel()
+        return packed(out)
 
     with ThreadPoolExecutor(dr.thread_count()) as pool:
         return [mi.Float(picture) for picture in pool.map(one, pictures)]

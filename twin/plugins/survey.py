@@ -11,6 +11,8 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
+from greenough.instrument.packets import packed
+
 from ..renderer import dr, mi
 from .lens_projector import LensProjector
 
@@ -92,7 +94,7 @@ def _window(reach: int) -> np.ndarray:
 def _in_blocks(where: np.ndarray) -> mi.UInt32:
     """Numbers of the pixels where ``where`` (rows, cols) is true, block by block."""
     order = blocks(where.shape)
-    return mi.UInt32(order[where.ravel()[order]])
+    return mi.UInt32(packed(order[where.ravel()[order]]))
 
 
 @lru_cache(maxsize=4)

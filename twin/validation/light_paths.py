@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from greenough.instrument.packets import packed
 from greenough.instrument.rigfile import RigFile
 
 from ..glass.as_built import AssembledPath
@@ -57,7 +58,7 @@ def renderer_nodes(table: np.ndarray, settings: TwinSettings) -> Nodes:
     reversed_index = np.array([int(f"{k:0{bits}b}"[::-1], 2) for k in range(count)])
     bandwidth = settings.light.bandwidth_um if settings.optics.glass else 0.0
     spectrum = Spectrum(settings.optics.wavelength_um, bandwidth)
-    wavelength = np.array(spectrum.wavelength_um(Double((reversed_index + 0.5) / count)))
+    wavelength = np.array(spectrum.wavelength_um(Double(packed((reversed_index + 0.5) / count))))
     within = tent(table[:, :2]) if settings.optics.camera_diffraction else table[:, :2] - 0.5
     open_stop = float(settings.optics.finite_aperture)
     return Nodes(
@@ -124,7 +125,7 @@ def _moved(motion: np.ndarray, vectors: np.ndarray, shift: float) -> np.ndarray:
 
 
 def _doubles(*columns: np.ndarray) -> list[Any]:
-    return [Double(np.ascontiguousarray(column, dtype=float)) for column in columns]
+    return [Double(packed(column.astype(float, copy=False))) for column in columns]
 
 
 def _array(*columns: Any) -> np.ndarray:

@@ -13,6 +13,7 @@ from scipy.interpolate import RegularGridInterpolator
 
 from greenough.instrument.contract import KnownUncertainty
 
+from .blas import on_one_thread
 from .covariance import covariance_root
 from .instrument_model import InstrumentModel
 
@@ -93,6 +94,7 @@ def grid_nodes(
     return (heights, v, u), np.stack([grid_u, grid_v], axis=-1), z
 
 
+@on_one_thread
 def essential(displacements: np.ndarray) -> np.ndarray:
     """As few causes as make the same covariances: (k, h, r, c, 3) float32 from displacements (h r c, 3, n), mm.
 
@@ -105,6 +107,7 @@ def essential(displacements: np.ndarray) -> np.ndarray:
     return np.moveaxis(left[:, kept] * sizes[kept], -1, 0).reshape(-1, *GRID, 3).astype(np.float32)
 
 
+@on_one_thread
 def uncertainty_of_model(
     instrument: InstrumentModel,
     z_low: float,

@@ -39,7 +39,7 @@ varies by 2 %; a pixel that sees the board's side wall, which passes by as the s
 STRIP_PHASES = 8_000_000
 """How many phases of all planes together are worked at."""
 
-_SAMPLE = 1000  # of the picture's pixels, whose condition is looked at
+_SAMPLE = 2000  # pixels, whose condition is looked at
 _INVERSE_STEPS = 4  # r3 w³ is a few micrometres: each squares the error
 
 
@@ -197,7 +197,7 @@ def fit_phase_height(phases: PlanePhases, z_mm: np.ndarray) -> PhaseHeightFit:
     Parameters
     ----------
     phases : (planes, rows, cols) float32 or float64
-        Absolute phase in rad, NaN where invalid. It is read once, strip by strip.
+        Absolute phase in rad, NaN where invalid. It is read strip by strip, twice.
     z_mm : (planes,)
         Height of each plane.
 
@@ -215,15 +215,10 @@ def fit_phase_height(phases: PlanePhases, z_mm: np.ndarray) -> PhaseHeightFit:
             f"the phase-height relation needs planes at {MIN_PLANES} or more different heights, "
             f"got {len(np.unique(z_mm))}: raise procedure.planes in the rig file"
         )
-    fits, pixels, samples = [], [], []
-    every = max(1, rows * cols // _SAMPLE)
-    for strip in strips(phases.shape):
-        part = phases[:, strip].reshape(planes, -1)
-        fit = fit_pixels(part, z_mm, MIN_PLANES, MISFIT_RAD)
-        fits.append(fit)
-        sample = np.flatnonzero(np.isfinite(fit.rms_mm))[::every]
-        pixels.append(strip.start * cols + sample)
-        samples.append(part[:, sample])
+    fits = [
+        fit_pixels([phase.ravel() for phase in phases[:, strip]], z_mm, MIN_PLANES, MISFIT_RAD)
+        for strip in strips(phases.shape)
+    ]
     coefficients = np.concatenate([fit.coefficients for fit in fits], axis=1).T
     centre = np.concatenate([fit.centre for fit in fits])
     half_range = np.concatenate([fit.half_range for fit in fits])
@@ -253,7 +248,7 @@ def fit_phase_height(phases: PlanePhases, z_mm: np.ndarray) -> PhaseHeightFit:
         relation=relation,
         residual_um=residual_um.reshape(rows, cols),
         plane_residual_um=1e3 * np.divide(sums, count, out=np.full(planes, np.nan), where=count > 0),
-        condition=_worst_condition(np.concatenate(samples, axis=1), np.concatenate(pixels), relation),
+        condition=_worst_condition(phases, relation),
     )
 
 
@@ -264,16 +259,21 @@ def strips(shape: tuple[int, int, int]) -> Iterator[slice]:
     return (slice(top, min(top + height, rows)) for top in range(0, rows, height))
 
 
-def _worst_condition(phases: np.ndarray, pixels: np.ndarray, relation: PhaseHeight) -> float:
-    """Largest condition number of the scaled Jacobian over some pixels (n,), whose phases are (planes, n)."""
-    valid = relation.valid.ravel()[pixels]
-    pixels, phi = pixels[valid], phases[:, valid].astype(np.float64)
+def _worst_condition(phases: PlanePhases, relation: PhaseHeight) -> float:
+    """Largest condition number of the scaled Jacobian over a sample of the pixels."""
+    row, col = np.nonzero(relation.valid)
+    row, col = (at[:: max(1, len(at) // _SAMPLE)] for at in (row, col))
+    parts = []
+    for strip in strips(phases.shape):
+        inside = (row >= strip.start) & (row < strip.stop)
+        parts.append(phases[:, strip][:, row[inside] - strip.start, col[inside]])
+    phi = np.concatenate(parts, axis=1).astype(np.float64)  # (planes, n)
     seen = np.isfinite(phi)
-    t = np.where(seen, (phi - relation.phase_centre.ravel()[pixels]) / relation.phase_half_range.ravel()[pixels], 0.0)
-    m1, m0, n1, r3 = relation.coefficients.reshape(-1, len(COEFFICIENTS))[pixels].T.astype(np.float64)
+    t = np.where(seen, (phi - relation.phase_centre[row, col]) / relation.phase_half_range[row, col], 0.0)
+    m1, m0, n1, r3 = relation.coefficients[row, col].T.astype(np.float64)
     denominator = 1 / (n1 * t + 1)
     w = (m1 * t + m0) * denominator
     slope = (1 + 3 * r3 * w**2) * denominator
     jacobian = np.stack([slope * t, slope, -slope * t * w, w**3], axis=-1) * seen[..., None]  # (planes, n, 4)
     jacobian = np.moveaxis(jacobian, 1, 0)
-    return float(np.linalg.cond(jacobian / np.linalg.norm(jacobian, axis=1, keepdims=True)).max(initial=1.0))
+    return float(np.linalg.cond(jacobian / np.linalg.norm(jacobian, axis=1, keepdims=True)).max())

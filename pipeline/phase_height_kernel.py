@@ -57,20 +57,20 @@ class PixelFits:
     residual_count: np.ndarray
 
 
-def fit_pixels(phases: np.ndarray, z_mm: np.ndarray, min_planes: int, misfit_rad: float) -> PixelFits:
+def fit_pixels(phases: Sequence[np.ndarray], z_mm: np.ndarray, min_planes: int, misfit_rad: float) -> PixelFits:
     """Fit every pixel by itself.
 
     Parameters
     ----------
-    phases : (planes, n) float32 or float64
-        Absolute phase in rad, NaN where invalid.
+    phases : sequence of (n,) float32 or float64
+        Absolute phase in each plane, rad, NaN where invalid.
     z_mm : (planes,)
     min_planes : int
         In which a pixel must be valid to be fitted.
     misfit_rad : float
         By less than which every plane must keep to a pixel's relation; a pixel that fails is not fitted.
     """
-    kind = Float64 if phases.dtype == np.float64 else Float
+    kind = Float64 if phases[0].dtype == np.float64 else Float
     planes = [(kind(packed(phase)), dr.opaque(Float64, z)) for phase, z in zip(phases, z_mm, strict=True)]
     extent = _extent_of(planes)
     usable = (extent.count >= min_planes) & (extent.high > extent.low)
@@ -102,7 +102,7 @@ def fit_pixels(phases: np.ndarray, z_mm: np.ndarray, min_planes: int, misfit_rad
         slope = dr.select(counts, (1 + 3 * r3 * w * w) * inverse, 0)  # dz/dw times dw/d(numerator)
         return [slope * t, slope, -slope * t * w, dr.select(counts, cube, 0)], z - w - r3 * cube
 
-    coefficients = [*_least_squares(planes, eq_19, 3), dr.zeros(Float64, phases.shape[1])]
+    coefficients = [*_least_squares(planes, eq_19, 3), dr.zeros(Float64, len(phases[0]))]
     dr.eval(*coefficients)
     for _ in range(_REFINEMENTS):
         steps = _least_squares(planes, partial(eq_18, *coefficients), 4)

@@ -1,6 +1,5 @@
 """The lines of a table of timings, and how works are timed so that they can be compared."""
 
-import gc
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -64,7 +63,6 @@ def interleaved(works: Mapping[str, Callable[[], object]], repeats: int) -> dict
     times: dict[str, list[float]] = {name: [] for name in works}
     for _ in range(repeats):
         for name, work in works.items():
-            gc.collect()  # of what the work before left behind
             start = time.perf_counter()
             result = work()
             times[name].append(time.perf_counter() - start)

@@ -33,7 +33,9 @@ def build_sensor(section: CameraSection, settings: CameraSettings, seed: int) ->
     pixels = section.rows * section.cols
     gain = 1 + settings.prnu * rng.standard_normal(pixels)
     offset = settings.dsnu_e * rng.standard_normal(pixels)
-    return Sensor(section, settings, *(mi.Float(packed(values.astype(np.float32))) for values in (gain, offset)))
+    return Sensor(
+        section, settings, *(mi.Float(packed(values.astype(np.float32), aligned=True)) for values in (gain, offset))
+    )
 
 
 def expose(electrons: list[mi.Float], sensor: Sensor, seed: int, run: str, first_serial: int) -> np.ndarray:

@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 
-from greenough.instrument.packets import LANES, packed
+from greenough.instrument.packets import ALIGNED_BYTES, LANES, packed
 
 AT_THE_END_OF_A_PAGE = """
 import ctypes, mmap
@@ -47,3 +47,21 @@ def test_values_keep_and_the_last_packet_has_room(n, dtype):
 def test_whole_packets_are_not_copied():
     values = np.zeros((3, LANES), np.float32)
     assert np.shares_memory(packed(values), values)
+
+
+@pytest.mark.parametrize("n", [3 * LANES, 3 * LANES + 1])
+@pytest.mark.parametrize("start", range(4))
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint32, np.float32])
+def test_an_aligned_array_begins_where_a_packet_does_wherever_the_values_lie(n, start, dtype):
+    memory = np.zeros(n + 2 * ALIGNED_BYTES, dtype)
+    values = memory[start : start + n]
+    values[:] = np.arange(n)
+    room = packed(values, aligned=True)
+    assert room.ctypes.data % ALIGNED_BYTES == 0
+    assert room.dtype == dtype
+    np.testing.assert_array_equal(room, values)
+
+
+def test_an_array_that_is_aligned_is_not_copied():
+    values = packed(np.zeros(LANES + 1, np.float32))[:LANES]
+    assert np.shares_memory(packed(values, aligned=True), values)

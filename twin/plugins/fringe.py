@@ -292,7 +292,7 @@ def _diffracted(channels: list[mi.Float], lit: mi.Bool, sensor: LensSensor) -> l
     def one(picture: np.ndarray) -> np.ndarray:
         out = np.zeros((rows, cols), np.float32)
         out[inside] = sensor.diffract(picture[box])[kept]
-        return packed(out)
+        return packed(out, aligned=True)
 
     with ThreadPoolExecutor(dr.thread_count()) as pool:
         return [mi.Float(picture) for picture in pool.map(one, pictures)]

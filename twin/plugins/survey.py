@@ -94,7 +94,7 @@ def _window(reach: int) -> np.ndarray:
 def _in_blocks(where: np.ndarray) -> mi.UInt32:
     """Numbers of the pixels where ``where`` (rows, cols) is true, block by block."""
     order = blocks(where.shape)
-    return mi.UInt32(packed(order[where.ravel()[order]]))
+    return mi.UInt32(packed(order[where.ravel()[order]], aligned=True))
 
 
 @lru_cache(maxsize=4)

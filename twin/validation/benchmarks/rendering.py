@@ -229,7 +229,7 @@ def lens_rows(rig_name: str, overrides: Sequence[str]) -> list[Row]:
         times = interleaved(works, 1)
         pinholes = next(iter(LENSES))
         for lenses, seconds in times.items():
-            name = f"render {part} in {cols // COARSER} x {rows // COARSER} px, all patterns, {lenses}"
+            name = f"render {part} in coarser pixels, all patterns, {lenses}"
             found.append(Row(name, seconds, "s", f"the same, {pinholes}", seconds / times[pinholes]))
     return found
 

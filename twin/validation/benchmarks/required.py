@@ -3,8 +3,10 @@
 from collections.abc import Mapping
 from typing import Literal
 
-Section = Literal["startup", "capturing", "scaling", "study"]
-"""One module of this package each, in the order in which they are run."""
+Section = Literal[
+    "startup", "decoding", "calibrating", "rendering", "capturing", "scaling", "study", "calibration", "demo"
+]
+"""In the order in which they are measured."""
 
 STARTUP = (
     "greenough --help",
@@ -20,6 +22,37 @@ STARTUP = (
             f"kernels of a first {step} compiled anew in spite of the disk",
         )
     ),
+)
+
+DECODING = ("decode",)
+
+CALIBRATING = (
+    "fit every pixel",
+    "fit every pixel, against SciPy",
+    "fit every pixel, peak memory",
+    "calibrate the camera",
+    "bundle adjustment",
+    "calibrate by the bundle, from phases",
+)
+
+_OTHER = "Mitsuba's own plugins"
+
+RENDERING = (
+    f"mean light, ours against {_OTHER}",
+    f"mean phase, ours against {_OTHER}",
+    "BGA, all patterns, 16 paths, 160 x 120 px",
+    "BGA, all patterns, as the rig renders it, 160 x 120 px",
+    "sampling error of the BGA's densest fringes",
+    *(f"sampling error of {_OTHER}, {paths} paths" for paths in (16, 64, 256)),
+    f"paths of {_OTHER} for the same error",
+    *(
+        f"render {part} in coarser pixels, all patterns, {lenses}"
+        for part in ("the blank plane", "the board", "the coin", "the BGA")
+        for lenses in ("pinholes", "thin lenses", "glass")
+    ),
+    "place and capture a posture, all patterns",
+    "move and capture a plane, all patterns",
+    "captures of a whole calibration",
 )
 
 CAPTURING = (
@@ -54,9 +87,16 @@ SCALING = tuple(
     )
 )
 
+CALIBRATION = ("whole calibration", "whole calibration, capturing", "whole calibration, after capturing")
+
 REQUIRED: Mapping[Section, tuple[str, ...]] = {
     "startup": STARTUP,
+    "decoding": DECODING,
+    "calibrating": CALIBRATING,
+    "rendering": RENDERING,
     "capturing": CAPTURING,
     "scaling": SCALING,
     "study": STUDY,
+    "calibration": CALIBRATION,
+    "demo": ("demo",),
 }

@@ -32,11 +32,7 @@ def help_rows() -> list[Row]:
 
 
 def kernel_rows(step: Step, rig_name: str, overrides: Sequence[str]) -> list[Row]:
-    """What a process that uses a step for the first time waits for, with and without its kernels on disk.
-
-    What is compiled again although it lies on disk has no limit in a capture: Dr.Jit compiles for arrays of NumPy by
-    where they happen to lie, at an address that is a multiple of 64 or not.
-    """
+    """What a process that uses a step for the first time waits for, with and without its kernels on disk."""
     empty, filled = first_uses(step, rig_name, overrides)
     first = f"first {step}, no kernel on disk"
     again = f"kernels of a first {step} compiled anew in spite of the disk"
@@ -45,7 +41,5 @@ def kernel_rows(step: Step, rig_name: str, overrides: Sequence[str]) -> list[Row
         Row(f"of which compiling, {step}", empty.compile_s, "s", first, empty.compile_s / empty.first_s),
         Row(f"first {step}, kernels on disk", filled.first_s, "s", first, filled.first_s / empty.first_s),
         Row(f"second {step} of a process", filled.second_s, "s", first, filled.second_s / empty.first_s),
-        limited(again, filled.compiled, "kernels", None, None, 0)
-        if step == "decode"
-        else Row(again, filled.compiled, "kernels"),
+        limited(again, filled.compiled, "kernels", None, None, 0),
     ]

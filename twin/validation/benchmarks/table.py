@@ -10,11 +10,38 @@ from greenough.instrument.errors import InputError
 from .required import REQUIRED, Section
 from .rows import Row
 
-WEIGHTS: Mapping[Section, int] = {"startup": 2, "capturing": 3, "scaling": 20, "study": 6}
-"""Each section's share of the progress, which is about its share of the time."""
 
-PEERS: Mapping[Section, tuple[str, ...]] = {}
-"""Modules of other people without which a section has not all rows."""
+@dataclass(frozen=True)
+class Measurement:
+    """What measures the rows of a section.
+
+    Parameters
+    ----------
+    module, function : str
+        Of this package: ``function(rig_name, overrides)`` makes the rows.
+    weight : int
+        The section's share of the progress, which is about its share of the time.
+    peers : tuple of str
+        Modules of other people without which not all rows can be made.
+    """
+
+    module: str
+    weight: int
+    function: str = "rows"
+    peers: tuple[str, ...] = ()
+
+
+MEASUREMENTS: Mapping[Section, Measurement] = {
+    "startup": Measurement("startup", 3),
+    "decoding": Measurement("decoding", 10, peers=("fringes",)),
+    "calibrating": Measurement("calibrating", 10),
+    "rendering": Measurement("rendering", 20),
+    "capturing": Measurement("capturing", 2),
+    "scaling": Measurement("scaling", 20),
+    "study": Measurement("study", 10),
+    "calibration": Measurement("calibrating", 10, "whole_calibration_rows"),
+    "demo": Measurement("demonstration", 20),
+}
 
 INSTALL: Mapping[str, str] = {
     # Its own requirements would replace OpenCV by another build.
@@ -50,7 +77,7 @@ class Table:
 
 def weight(sections: Iterable[Section]) -> int:
     """Steps of progress that `bench` takes for these sections."""
-    return sum(WEIGHTS[section] for section in sections)
+    return sum(MEASUREMENTS[section].weight for section in sections)
 
 
 def bench(
@@ -67,7 +94,7 @@ def bench(
     sections : iterable of Section
         Rows of the others are not missed.
     advance : callable
-        Called with the ``WEIGHTS`` of each section when it is done.
+        Called with each section's weight when it is done.
 
     Raises
     ------
@@ -80,13 +107,15 @@ def bench(
     rows: list[Row] = []
     missing: dict[str, str] = {}
     for section in sections:
-        absent = [peer for peer in PEERS.get(section, ()) if find_spec(peer) is None]
+        measurement = MEASUREMENTS[section]
+        absent = [peer for peer in measurement.peers if find_spec(peer) is None]
         reason = "; ".join(f"{peer} is not installed: {INSTALL[peer]}" for peer in absent)
         try:
-            rows.extend(import_module(f".{section}", __package__).rows(rig_name, overrides))
+            module = import_module(f".{measurement.module}", __package__)
+            rows.extend(getattr(module, measurement.function)(rig_name, overrides))
         except InputError as error:
             reason = str(error)
         found = {row.name for row in rows}
         missing |= {name: reason or f"{section} yielded no such row" for name in REQUIRED[section] if name not in found}
-        advance(WEIGHTS[section])
+        advance(measurement.weight)
     return Table(tuple(rows), missing)

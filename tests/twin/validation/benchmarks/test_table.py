@@ -15,7 +15,7 @@ from greenough.twin.validation.benchmarks import capturing, required, startup, s
 from greenough.twin.validation.benchmarks.first_kernels import FirstUse
 from greenough.twin.validation.benchmarks.required import REQUIRED
 from greenough.twin.validation.benchmarks.rows import Row, limited
-from greenough.twin.validation.benchmarks.table import bench
+from greenough.twin.validation.benchmarks.table import Measurement, bench
 
 SMALL = ("twin.optics.glass=false", "camera.rows=60", "camera.cols=80", "twin.optics.camera_focal_px=1417.6875")
 
@@ -36,9 +36,9 @@ def yields(*names: str, value: float = 1.0, refuses: bool = False):
 def sections(monkeypatch: pytest.MonkeyPatch):
     """Puts made-up modules and required rows in the place of the real ones."""
 
-    def put(wanted: dict[str, tuple[str, ...]], modules: dict[str, SimpleNamespace], peers=None) -> None:
-        monkeypatch.setattr(table, "WEIGHTS", dict.fromkeys(wanted, 3))
-        monkeypatch.setattr(table, "PEERS", peers or {})
+    def put(wanted: dict[str, tuple[str, ...]], modules: dict[str, SimpleNamespace], peers=()) -> None:
+        measured = {name: Measurement(name, 3, peers=peers) for name in wanted}
+        monkeypatch.setattr(table, "MEASUREMENTS", measured)
         monkeypatch.setattr(table, "import_module", lambda name, package: modules[name.removeprefix(".")])
         for module in (table, commands):
             monkeypatch.setattr(module, "REQUIRED", wanted)
@@ -84,7 +84,7 @@ def test_a_section_that_refuses_keeps_what_it_has_and_the_others_are_run(section
 
 def test_a_peer_that_is_not_installed_is_named_with_how_to_install_it(sections, monkeypatch) -> None:
     monkeypatch.setattr(table, "INSTALL", {"no_such_peer": "pip install 'greenough[bench]'"})
-    sections({"startup": ("a",)}, {"startup": yields()}, {"startup": ("json", "no_such_peer")})
+    sections({"startup": ("a",)}, {"startup": yields()}, ("json", "no_such_peer"))
     assert benched().missing == {"a": "no_such_peer is not installed: pip install 'greenough[bench]'"}
 
 
@@ -100,11 +100,11 @@ def test_a_wrong_setting_is_refused_before_anything_is_timed(sections) -> None:
 
 
 def test_every_section_has_a_weight_and_required_rows_of_different_names() -> None:
-    assert list(REQUIRED) == list(get_args(required.Section)) == list(table.WEIGHTS)
+    assert list(REQUIRED) == list(get_args(required.Section)) == list(table.MEASUREMENTS)
     names = [name for rows in REQUIRED.values() for name in rows]
     assert len(set(names)) == len(names)
     assert all(REQUIRED.values())
-    assert {peer for peers in table.PEERS.values() for peer in peers} <= set(table.INSTALL)
+    assert {peer for measurement in table.MEASUREMENTS.values() for peer in measurement.peers} <= set(table.INSTALL)
 
 
 @pytest.fixture
@@ -147,7 +147,7 @@ def test_the_start_up_has_all_its_rows(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(startup, "REPEATS", 1)
     found = startup.rows("twin", SMALL)
     assert tuple(row.name for row in found) == REQUIRED["startup"]
-    assert [row.limit for row in found if row.limit is not None] == [startup.HELP_LIMIT_S, 0]
+    assert [row.limit for row in found if row.limit is not None] == [startup.HELP_LIMIT_S, 0, 0]
 
 
 def test_captures_have_all_their_rows(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -18,9 +18,18 @@ from greenough.instrument.contract import SpotBoard
 from greenough.instrument.errors import InputError
 
 from .parts import Part, Specimen
-from .triangulation import grid_faces, grid_points
+from .triangulation import grid_faces, grid_points, ring_faces
 
 _SPOT_SAGITTA_MM = 5e-5  # between a spot's circle and the sides of its polygon
+
+# Long slivers from a spot's middle to its circle, and on to the border of its cell, would cost rays the most: each ray
+# meets many. Instead polygons of ever fewer corners follow each other inwards, all on the circle, and outwards.
+_FAN = 18  # most sides of the polygon that is left for a fan around the middle
+_RINGS = (
+    1 / 16,
+    1 / 4,
+)  # of polygons of half and a quarter of the corners between circle and border: shares of the way
+_BORDER = 2  # corners of the border for each eighth of the way round
 
 
 @dataclass(frozen=True)
@@ -162,11 +171,17 @@ def _best_fitted(points: np.ndarray, reference: np.ndarray) -> np.ndarray:
 
 
 def _spots(printed: PrintedBoard) -> Part:
-    """The ceramic discs, each a fan around its centre."""
+    """The ceramic discs."""
     circles = _circles(printed)
+    triangles = []
+    while circles.shape[1] > _FAN and circles.shape[1] % 2 == 0:  # every second corner is cut off
+        ears = [circles[:, ::2], circles[:, 1::2], np.roll(circles[:, ::2], -1, axis=1)]
+        triangles.append(np.stack(ears, axis=2))
+        circles = circles[:, ::2]
     centres = np.broadcast_to(printed.centres[:, None], circles.shape)
-    fans = np.stack([centres, circles, np.roll(circles, -1, axis=1)], axis=2).reshape(-1, 3, 2)
-    return _draped(fans, lambda xy: ceramic_height(printed, xy), "ceramic")
+    triangles.append(np.stack([centres, circles, np.roll(circles, -1, axis=1)], axis=2))
+    discs = np.concatenate(triangles, axis=1).reshape(-1, 3, 2)
+    return _draped(discs, lambda xy: ceramic_height(printed, xy), "ceramic")
 
 
 def _ink(printed: PrintedBoard) -> Part:
@@ -194,24 +209,35 @@ def _ink(printed: PrintedBoard) -> Part:
 
 
 def _circles(printed: PrintedBoard) -> np.ndarray:
-    """Points (spots, points, 2) on the spots' circles, as many on each, so that neighbouring cells fit together."""
+    """Points (spots, points, 2) on the spots' circles, as many on each."""
     radii = printed.nominal.diameters() / 2
-    # The polar angle of the point on the cell's border; a multiple of 8 puts points on its corners.
-    count = 8 * int(np.ceil(np.pi / np.sqrt(2 * _SPOT_SAGITTA_MM / radii.max()) / 8))
-    angle = 2 * np.pi * np.arange(count) / count
-    unit = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    return _snapped(printed.centres[:, None] + radii[:, None, None] * unit)
+    # A multiple of 16 can be halved as often as there are rings around a spot.
+    count = 16 * int(np.ceil(np.pi / np.sqrt(2 * _SPOT_SAGITTA_MM / radii.max()) / 16))
+    return _snapped(printed.centres[:, None] + radii[:, None, None] * _directions(count))
 
 
 def _cells(printed: PrintedBoard, circles: np.ndarray) -> np.ndarray:
     """Triangles (m, 3, 2) between each spot's circle and the border of its cell, a square around the nominal centre."""
-    angle = 2 * np.pi * np.arange(circles.shape[1]) / circles.shape[1]
-    unit = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    square = unit / np.abs(unit).max(axis=-1, keepdims=True) * printed.nominal.pitch_mm / 2
-    borders = printed.nominal.centres()[:, None] + square
-    inner = np.stack([circles, borders, np.roll(circles, -1, axis=1)], axis=2)
-    outer = np.stack([np.roll(circles, -1, axis=1), borders, np.roll(borders, -1, axis=1)], axis=2)
-    return np.concatenate([inner.reshape(-1, 3, 2), outer.reshape(-1, 3, 2)])
+    count = circles.shape[1]
+    nominal, half = printed.nominal, printed.nominal.pitch_mm / 2
+    offset = np.linalg.norm(printed.centres - nominal.centres(), axis=-1)
+    radii = nominal.diameters() / 2
+    way = half - offset - radii  # the shortest from the circle to the border
+    rings = [circles]
+    for k, share in enumerate(_RINGS):
+        unit = _directions(count // 2 ** (k + 1))
+        rings.append(printed.centres[:, None] + (radii + share * way)[:, None, None] * unit)
+    border = _directions(8 * _BORDER)
+    border = border / np.abs(border).max(axis=-1, keepdims=True) * half
+    rings.append(nominal.centres()[:, None] + border)
+    points = np.concatenate(rings, axis=1)  # (spots, points, 2)
+    return points[:, ring_faces([ring.shape[1] for ring in rings])].reshape(-1, 3, 2)
+
+
+def _directions(count: int) -> np.ndarray:
+    """Unit vectors (count, 2), evenly spread, the first along x."""
+    angle = 2 * np.pi * np.arange(count) / count
+    return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 
 
 def _margin(printed: PrintedBoard) -> np.ndarray:
@@ -220,8 +246,7 @@ def _margin(printed: PrintedBoard) -> np.ndarray:
     A grid through the border points of the cells, without its middle.
     """
     nominal = printed.nominal
-    count = _circles(printed).shape[1]
-    along = np.tan(2 * np.pi * np.arange(-count // 8, count // 8 + 1) / count) * nominal.pitch_mm / 2
+    along = np.tan(np.pi / 4 * np.arange(-_BORDER, _BORDER + 1) / _BORDER) * nominal.pitch_mm / 2
     lines = []
     for spots in (nominal.cols, nominal.rows):
         centres = (np.arange(spots) - (spots - 1) / 2) * nominal.pitch_mm

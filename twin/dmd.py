@@ -71,12 +71,17 @@ def band_limited(
     At a place the table shows what lies ``shift``, (N, 2) columns and rows, further on in each pattern. Patterns that
     do not vary along the rows share one profile across them, which is not shifted.
     """
-    answer = (255 * (np.arange(256) / 255) ** mirrors.gamma).astype(np.float32)  # in grey values
-    light = mirrors.off_state + (1 - mirrors.off_state) * answer[patterns] / 255
     shift = np.zeros((len(patterns), 2)) if shift is None else shift
     if (patterns == patterns[:, :1]).all():
-        return _column_table(light[:, 0], patterns.shape[1], mirrors, na, wavelength, shift[:, 0])
-    return _image_table(light, mirrors, na, wavelength, shift)
+        light = _light(patterns[:, 0], mirrors)
+        return _column_table(light, patterns.shape[1], mirrors, na, wavelength, shift[:, 0])
+    return _image_table(_light(patterns, mirrors), mirrors, na, wavelength, shift)
+
+
+def _light(patterns: np.ndarray, mirrors: Mirrors) -> np.ndarray:
+    """Light of mirrors that show grey values, relative to white, float32 of any shape."""
+    answer = (255 * (np.arange(256) / 255) ** mirrors.gamma).astype(np.float32)  # in grey values
+    return mirrors.off_state + (1 - mirrors.off_state) * answer[patterns] / 255
 
 
 def _transfer(fx: np.ndarray, fy: np.ndarray, mirrors: Mirrors, na: float, wavelength: float) -> np.ndarray:

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from .legendre_field import DepthField
 from .method import Method
 from .path_drift import along_ray_per_shift, walked_mm
 from .phase_height import PhaseHeight
+from .point_kernel import PointKernel
 from .point_spread import PointSpread
 from .projector_model import ProjectorModel
 from .rays import Rays
@@ -153,8 +155,19 @@ class Calibration:
 
     def path_drift(self, exposures: int) -> np.ndarray:
         """What the path's drift over so many exposures moves points by, (3,) mm: one standard deviation."""
-        walked = walked_mm(self.known, self.procedure, exposures)
-        return walked * along_ray_per_shift(self.rays, self.phase_height)
+        return walked_mm(self.known, self.procedure, exposures) * self._along_ray_per_shift
+
+    @cached_property
+    def point_kernel(self) -> PointKernel:
+        """What `reconstruct` computes points with; heights beyond the planes are believed by half a plane step.
+
+        It is made when it is first asked for, from ``phase_height`` and ``rays`` as they are then, and kept.
+        """
+        return PointKernel.of(self.phase_height, self.rays, self.procedure.plane_step_mm / 2)
+
+    @cached_property
+    def _along_ray_per_shift(self) -> np.ndarray:
+        return along_ray_per_shift(self.rays, self.phase_height)
 
     def check_shape(self, shape: tuple[int, ...]) -> None:
         """Raise InputError if ``shape`` is not the calibrated camera's (rows, cols)."""

@@ -4,6 +4,7 @@ Grey values are in DN. The frames of a set are I_n = A + B cos(Φ + 2π n / N).
 """
 
 from dataclasses import dataclass
+from functools import reduce
 from math import inf
 
 import numpy as np
@@ -14,7 +15,7 @@ from greenough.instrument.packets import packed
 
 from .fringes import FringeSet
 from .grey_variance import GreyVariance, camera_variance, estimate_variance
-from .jit import Bool, Float, UInt8, dr
+from .jit import Array2u8, Bool, Float, UInt8, UInt32, dr
 from .phase_shifting import estimate_phasor
 from .unwrap import RESIDUAL_LIMIT, order_is_safe, unwrap
 
@@ -75,24 +76,23 @@ def decode(
     """
     stack, black_dn, full_scale_dn = _grey_values(frames, fringes)
     shape = stack.shape[1:]
-
-    # The kernel is compiled once per fringe set: what varies from call to call is opaque to it.
-    black, full_scale = dr.opaque(Float, black_dn), dr.opaque(Float, full_scale_dn)
-    grey = [Float(UInt8(packed(frame)) if stack.dtype == np.uint8 else Float(packed(frame))) for frame in stack]
-    background = sum(grey[1:], grey[0]) / len(grey) - black
     if noise is None:
         noise = estimate_variance(stack, fringes, black_dn, full_scale_dn)
     elif isinstance(noise, CameraNoise):
         noise = camera_variance(noise, quantised=stack.dtype.kind == "u")
-    per_dn = _per_pixel(noise.per_dn, shape)
-    variance = _per_pixel(noise.at_black_dn2, shape) + per_dn * dr.maximum(background, 0)
 
+    # The kernel is compiled once per fringe set: what varies from call to call is opaque to it. It is traced in every
+    # call, since replaying it (`drjit.freeze`) from two threads at a time ends the process.
+    black, full_scale = dr.opaque(Float, black_dn), dr.opaque(Float, full_scale_dn)
+    per_dn = _per_pixel(noise.per_dn, shape)
+    as_captured = [_mapped(frame) for frame in stack]
+    grey = [Float(frame) for frame in as_captured]
+    background = _sum(grey) / len(grey) - black
+    variance = _per_pixel(noise.at_black_dn2, shape) + per_dn * dr.maximum(background, 0)
     phasors = [estimate_phasor(grey[part], variance, per_dn) for part in fringes.slices]
     phases, phase_variances = [each.phase for each in phasors], [each.variance for each in phasors]
     unwrapped = unwrap(phases, phase_variances, fringes)
-    brightest = grey[0]
-    for values in grey[1:]:
-        brightest = dr.maximum(brightest, values)
+    brightest = Float(reduce(dr.maximum, as_captured))  # bytes are compared faster than what is made of them
     valid: Bool = (
         unwrapped.resolved
         & (dr.abs(unwrapped.residual) < RESIDUAL_LIMIT)
@@ -104,7 +104,24 @@ def decode(
     results = (absolute, phasors[-1].modulation, background, valid, unwrapped.residual, sigma)
     dr.eval(*results)
     exposures = int(frames.serials[-1]) + 1 if isinstance(frames, Frames) else 0
-    return PhaseMap(*(np.array(result).reshape(shape) for result in results), exposures=exposures)
+    return PhaseMap(*(result.numpy().reshape(shape) for result in results), exposures=exposures)
+
+
+def _mapped(frame: np.ndarray) -> UInt8 | Float:
+    """Grey values (pixels,) that the CPU reads where the frame lies, unless it is of float64."""
+    if frame.dtype == np.uint8:
+        return UInt8(packed(frame))
+    if frame.dtype == np.uint16:  # which Dr.Jit has not: it reads their bytes, the low one first
+        low, high = dr.gather(Array2u8, UInt8(packed(frame.view(np.uint8))), dr.arange(UInt32, frame.size))
+        return Float(low) + 256 * Float(high)
+    return Float(packed(frame))
+
+
+def _sum(values: list[Float]) -> Float:
+    """Of neighbours first, then of their sums: no addition waits for all others before it."""
+    while len(values) > 1:
+        values = [sum(values[k + 1 : k + 2], values[k]) for k in range(0, len(values), 2)]
+    return values[0]
 
 
 def _grey_values(frames: Frames | np.ndarray, fringes: FringeSet) -> tuple[np.ndarray, float, float]:

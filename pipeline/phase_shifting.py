@@ -14,7 +14,11 @@ elimination from the last harmonic K to the first,
 
     z_K = X_K,   t_K = 0,   t_k = g / (1 - g t_(k+1)),   z_k = X_k - t_k exp(-iφ) z_(k+1),
 
-and z_1 = B exp(iφ) has the variance (1 - g t_1) 2V/N across and along. With K large t_k tends to
+and z_1 = B exp(iφ) has the variance (1 - g t_1) 2V/N across and along. The same without divisions, by the continuants
+
+    P_0 = P_1 = 1,   P_(j+1) = P_j - g² P_(j-1),   y_K = X_K,   y_k = P_(K-k) X_k - g exp(-iφ) y_(k+1),
+
+where t_(K-j) = g P_(j-1) / P_j, is z_1 = y_1 / P_(K-1) with 1 - g t_1 = P_K / P_(K-1). With K large t_k tends to
 ρ = (1 - sqrt(1 - 4g²)) / (2g); these are the weights of frames by their inverse variance, whose fit has the variance
 2V / (N (1 + ρ²)), the bound of Cramér and Rao. With K harmonics this is exceeded by the factor
 (1 - ρ^(2K+2)) / (1 - ρ^(2K)), and K = 1 is eq. 2 (`phase_bound` has the bound of grey values as they are, counted,
@@ -36,7 +40,8 @@ from math import cos, pi, sin
 
 from .jit import Complex2f, Float, dr
 
-_LEAST = 1e-20  # DN; keeps black pixels of perfect frames from dividing zero by zero
+_LEAST = 1e-20  # DN²; keeps black pixels of perfect frames from dividing zero by zero
+_ZERO = 1e-12  # what sine and cosine leave of their zeros
 
 
 @dataclass(frozen=True)
@@ -76,26 +81,51 @@ def estimate_phasor(grey: Sequence[Float], variance: Float, per_dn: Float) -> Ph
         b, by how much it grows with the grey value, DN.
     """
     steps = len(grey)
-    harmonics = [_harmonic(grey, k) for k in range(1, highest_harmonic(steps) + 1)]
-    amplitude = dr.hypot(harmonics[0].real, harmonics[0].imag)
-    turn = dr.conj(harmonics[0]) / dr.maximum(amplitude, _LEAST)  # exp(-iφ)
-    correlation = dr.minimum(per_dn * amplitude / dr.maximum(2 * variance, _LEAST), 0.5)  # g; 0.5 where B is V / b
+    harmonics = _harmonics(grey, highest_harmonic(steps))
+    amplitude = dr.sqrt(_squared(harmonics[0]))
+    # g exp(-iφ). B does not exceed V / b, but noise may lift it: then g is 0.5.
+    turn = dr.conj(harmonics[0]) * (per_dn / dr.maximum(2 * dr.maximum(variance, per_dn * amplitude), _LEAST))
+    g_squared = _squared(turn)
 
-    ratio, phasor = Float(0), harmonics[-1]
+    before, continuant, multiple = 1.0, 1.0, harmonics[-1]  # P_(j-1), P_j, y_(K-j+1)
     for harmonic in reversed(harmonics[:-1]):
-        ratio = correlation / (1 - correlation * ratio)
-        phasor = harmonic - ratio * (turn * phasor)
-    gain = 1 - correlation * ratio
-    modulation = dr.hypot(phasor.real, phasor.imag)
-    phase = dr.atan2(phasor.imag, phasor.real)
-    return Phasor(phase, modulation, 2 / steps * variance * gain / dr.square(modulation))
+        multiple = continuant * harmonic - turn * multiple
+        before, continuant = continuant, continuant - g_squared * before
+    squared = _squared(multiple)
+    return Phasor(
+        phase=dr.atan2(multiple.imag, multiple.real),
+        modulation=dr.sqrt(squared) / before,
+        variance=2 / steps * before * continuant * variance / squared,
+    )
 
 
-def _harmonic(grey: Sequence[Float], order: int) -> Complex2f:
-    """X_k, DN."""
+def _squared(value: Complex2f) -> Float:
+    """|value|², here of grey values, whose squares do not overflow as `drjit.hypot` fears."""
+    return dr.fma(value.real, value.real, value.imag * value.imag)
+
+
+def _harmonics(grey: Sequence[Float], highest: int) -> list[Complex2f]:
+    """X_1 to X_highest, DN.
+
+    The frames n and N - n have one cosine and opposite sines: their sums make the real parts, their differences the
+    imaginary ones.
+    """
     steps = len(grey)
-    real, imaginary = Float(0), Float(0)
-    for n, values in enumerate(grey):
-        real += values * (2 / steps * cos(2 * pi * order * n / steps))
-        imaginary -= values * (2 / steps * sin(2 * pi * order * n / steps))
-    return Complex2f(real, imaginary)
+    half = range(steps // 2 + 1)
+    sums = [grey[n] + grey[-n] if 0 < 2 * n < steps else grey[n] for n in half]
+    differences = [grey[n] - grey[-n] for n in half]
+    harmonics = []
+    for order in range(1, highest + 1):
+        angles = [2 * pi * order * n / steps for n in half]
+        real = _weighted_sum(sums, [2 / steps * cos(angle) for angle in angles])
+        imaginary = _weighted_sum(differences, [-2 / steps * sin(angle) for angle in angles])
+        harmonics.append(Complex2f(real, imaginary))
+    return harmonics
+
+
+def _weighted_sum(values: Sequence[Float], weights: Sequence[float]) -> Float:
+    total = Float(0)
+    for value, weight in zip(values, weights, strict=True):
+        if abs(weight) > _ZERO:
+            total = dr.fma(value, weight, total)
+    return total

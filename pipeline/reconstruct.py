@@ -20,7 +20,8 @@ class PointMap:
     Parameters
     ----------
     xyz : (rows, cols, 3) float64
-        Points in the calibrated (world) frame, mm; NaN where invalid.
+        Points in the calibrated (world) frame, mm; NaN where invalid. Double, though their last digits are single's:
+        fits to a million points in single precision go wrong.
     noise_mm : (rows, cols, 3) float32, optional
         What one standard deviation of its phase's noise moves each point by, along the camera's ray. Noise is
         independent from pixel to pixel unless a filter has made neighbours alike.
@@ -79,15 +80,8 @@ def reconstruct(phase_map: PhaseMap, calibration: Calibration) -> PointMap:
         If the phase map is not of the calibrated camera's size.
     """
     calibration.check_shape(phase_map.absolute.shape)
-    relation = calibration.phase_height
-    phase = np.where(phase_map.valid, phase_map.absolute, np.nan)
-    z = relation.height(phase)
-    z[~relation.covers(phase, margin_mm=calibration.procedure.plane_step_mm / 2)] = np.nan
-    points = calibration.rays.points(z)
-    noise = np.empty(points.shape, dtype=np.float32)
-    noise[..., 2] = np.where(np.isnan(z), np.nan, relation.slope(phase) * phase_map.sigma)
-    noise[..., :2] = noise[..., 2:] * calibration.rays.slope
-    return PointMap(points, noise, calibration.uncertainty_after(phase_map.exposures))
+    xyz, noise_mm = calibration.point_kernel.points(phase_map.absolute, phase_map.sigma, phase_map.valid)
+    return PointMap(xyz, noise_mm, calibration.uncertainty_after(phase_map.exposures))
 
 
 def _stated(value):

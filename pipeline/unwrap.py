@@ -70,16 +70,24 @@ def unwrap(wrapped: Sequence[Float], variance: Sequence[Float], fringes: FringeS
     fringes : FringeSet
         What was projected.
     """
-    start = wrapped[0] - 2 * pi * dr.floor(wrapped[0] / (2 * pi))  # [0, 2π)
-    neighbour = start + dr.select(start < pi, 2 * pi, -2 * pi)
-    here, there = (_follow(first, wrapped, variance, fringes) for first in (start, neighbour))
+    turns = [phase / (2 * pi) for phase in wrapped]
+    scales = [fringes.periods[-1] / period for period in fringes.periods[:-1]]
+    weights = [(2 * pi) ** 2 / (own + k**2 * variance[-1]) for own, k in zip(variance[:-1], scales, strict=True)]
+    edge = _EDGE_COLUMNS / fringes.periods[-1] + _EDGE_SIGMAS / (2 * pi) * dr.sqrt(variance[-1])
+    start = turns[0] - dr.floor(turns[0])
+    neighbour = start + dr.select(start < 0.5, 1, -1)
+    here, there = (_follow(first, turns, weights, edge, fringes) for first in (start, neighbour))
 
     use_there = there.inside & (~here.inside | (there.misfit < here.misfit))
     chosen_fits_worse = dr.select(use_there, there.misfit > here.misfit, here.misfit > there.misfit)
     odds_decide = dr.abs(here.misfit - there.misfit) > 2 * log(1 / ERROR_PROBABILITY)
+    residual = dr.zeros(Float, dr.width(start))  # of a single set, which has no step
+    for own, other in zip(here.residuals, there.residuals, strict=True):
+        of_step = dr.select(use_there, other, own)
+        residual = dr.select(dr.abs(of_step) > dr.abs(residual), of_step, residual)
     return Unwrapped(
-        absolute=dr.select(use_there, there.absolute, here.absolute),
-        residual=dr.select(use_there, there.residual, here.residual),
+        absolute=2 * pi * dr.select(use_there, there.densest, here.densest),
+        residual=2 * pi * residual,
         resolved=dr.select(
             here.inside & there.inside,
             odds_decide,
@@ -110,31 +118,31 @@ def order_is_safe(variance: Sequence[Float], fringes: FringeSet) -> Bool:
 
 @dataclass(frozen=True)
 class _Chain:
-    absolute: Float
-    residual: Float
+    """Phases in turns of 2π, so that fringe orders are whole numbers."""
+
+    densest: Float  # Φ_M
+    residuals: list[Float]  # of each step
     misfit: Float  # Σ (Φ_i - Φ_M p_M / p_i)² / variance over the coarser sets
     inside: Bool  # ends inside the field
 
 
-def _follow(start: Float, wrapped: Sequence[Float], variance: Sequence[Float], fringes: FringeSet) -> _Chain:
-    """Eq. 5 from the coarsest to the densest set."""
-    phases = [start]
-    worst = Float(0)
-    for ratio, phi in zip(fringes.ratios[1:], wrapped[1:], strict=True):
-        expected = ratio * phases[-1]
-        phase = phi + 2 * pi * dr.round((expected - phi) / (2 * pi))
-        residual = expected - phase
-        worst = dr.select(dr.abs(residual) > dr.abs(worst), residual, worst)
-        phases.append(phase)
+def _follow(start: Float, turns: Sequence[Float], weights: Sequence[Float], edge: Float, fringes: FringeSet) -> _Chain:
+    """Eq. 5 from the coarsest to the densest set.
+
+    ``weights`` are the inverse variances of the coarser sets' misfits, and the chain may end outside the field by
+    ``edge``; all is in turns.
+    """
+    phases, residuals = [start], []
+    for ratio, own in zip(fringes.ratios[1:], turns[1:], strict=True):
+        turns_apart = dr.fma(ratio, phases[-1], -own)
+        order = dr.round(turns_apart)
+        phases.append(own + order)
+        residuals.append(turns_apart - order)
 
     densest = phases[-1]
     misfit = Float(0)
-    for phase, own, period in zip(phases[:-1], variance[:-1], fringes.periods[:-1], strict=True):
-        scale = fringes.periods[-1] / period
-        misfit += dr.square(phase - scale * densest) / (own + scale**2 * variance[-1])
+    for phase, weight, period in zip(phases[:-1], weights, fringes.periods[:-1], strict=True):
+        misfit = dr.fma(dr.square(dr.fma(-fringes.periods[-1] / period, densest, phase)), weight, misfit)
 
-    per_column = 2 * pi / fringes.periods[-1]
-    edge = _EDGE_COLUMNS * per_column + _EDGE_SIGMAS * dr.sqrt(variance[-1])
-    last = (fringes.periods[0] - 1) * per_column
-    inside = (densest > -edge) & (densest < last + edge)
-    return _Chain(densest, worst, misfit, inside)
+    last = (fringes.periods[0] - 1) / fringes.periods[-1]
+    return _Chain(densest, residuals, misfit, (densest > -edge) & (densest < last + edge))

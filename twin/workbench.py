@@ -1,8 +1,9 @@
 """What really lies under the microscope: parts, their motions, and the scene that is rendered."""
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -80,7 +81,7 @@ class Workbench:
                 pose = self.table_from_flat_board(placement.part)
             else:
                 pose = self.table_from_turned_board(placement.part)
-            return Mounted(placement, board(printed, placement.face), pose, flat=True)
+            return Mounted(placement, _face(printed, placement.face), pose, flat=True)
         if Path(placement.part).suffix:
             part = load_mesh(placement.part, placement.unit, placement.pose_mm_deg)
             return Mounted(placement, part, np.eye(4), flat=False)
@@ -129,3 +130,9 @@ class Workbench:
     def world_from_twin(self) -> np.ndarray:
         """The calibrated frame as it really is, (4, 4): that of the board lying flat, printed face up, at z = 0."""
         return np.linalg.inv(self.stage.twin_from_table(0.0) @ self.table_from_flat_board())
+
+
+@lru_cache(maxsize=4)
+def _face(printed: PrintedBoard, face: Literal["printed", "blank"]) -> Specimen:
+    """One face of a board, built once for all its postures."""
+    return board(printed, face)

@@ -3,7 +3,7 @@ import pytest
 
 from greenough.twin.validation.benchmarks import scaling
 from greenough.twin.validation.benchmarks.required import REQUIRED
-from greenough.twin.validation.benchmarks.scaling import SERIES, Series, exponent, peak_mb, relief, series_rows
+from greenough.twin.validation.benchmarks.scaling import SERIES, Series, exponent, series_rows
 
 SIZES = (10, 30, 100)
 
@@ -52,29 +52,6 @@ def test_the_table_has_every_size_and_exponent_that_is_required() -> None:
     assert limits["render", "triangles"] == 1.0
 
 
-def test_what_a_work_takes_beyond_its_input_is_its_peak() -> None:
-    given = np.ones(4_000_000, np.float32)  # 16 MB
-
-    def work() -> float:
-        twice = np.concatenate([given, given])  # 32 MB
-        return float(np.concatenate([twice, given])[0])  # 48 MB more
-
-    assert peak_mb(work) == pytest.approx(80, rel=0.1)
-    assert peak_mb(lambda: float(given[0])) < 8
-
-
-@pytest.mark.parametrize("triangles", [10_000, 100_000])
-def test_the_relief_has_its_triangles_over_the_field_and_faces_up(triangles: int) -> None:
-    part = relief(triangles)
-    assert len(part.faces) == pytest.approx(triangles, rel=0.02)
-    a, b, c = np.moveaxis(part.vertices[part.faces], 1, 0)
-    area = np.cross(b - a, c - a)[:, 2] / 2  # seen from above
-    assert area.min() > 0
-    width, height = (2 * half for half in scaling.HALF_FIELD_MM)
-    assert area.sum() == pytest.approx(width * height)
-    assert np.ptp(area) < 1e-9
-
-
 @pytest.mark.parametrize("series", SERIES, ids=lambda series: f"{series.step} {series.of}")
 def test_a_series_does_as_much_as_it_says(series: Series) -> None:
     coarse = ["twin.optics.glass=false", "camera.rows=60", "camera.cols=80", "twin.optics.camera_focal_px=1417.6875"]
@@ -92,9 +69,3 @@ def test_a_series_does_as_much_as_it_says(series: Series) -> None:
         assert result is not None
         if (series.step, series.of) in seen:
             assert seen[series.step, series.of](result) == pytest.approx(size, rel=0.01)
-
-
-def test_fringes_have_as_many_patterns_as_they_are_named_after() -> None:
-    for count, (periods, steps) in scaling.FRINGES.items():
-        assert sum(steps) == count
-        assert len(periods) == len(steps)

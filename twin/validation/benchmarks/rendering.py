@@ -126,10 +126,13 @@ def standard_errors(differences: Sequence[np.ndarray]) -> float:
 
 
 def samples_for(error: float, samples: np.ndarray, errors: Sequence[float]) -> float:
-    """Number of paths that has ``error``, from the ``errors`` of increasing numbers of ``samples``; see the module."""
+    """Number of paths that has ``error``, from the ``errors`` of increasing numbers of ``samples``; see the module.
+
+    NaN where it would be less than the first of them.
+    """
     if error < errors[-1]:
         return float(samples[-1] * (errors[-1] / error) ** 2)
-    return float(np.exp(np.interp(-np.log(error), -np.log(errors), np.log(samples))))
+    return float(np.exp(np.interp(-np.log(error), -np.log(errors), np.log(samples), left=np.nan)))
 
 
 def densest(stack: np.ndarray) -> np.ndarray:

@@ -30,6 +30,10 @@ def test_where_errors_fall_slowly_the_number_beyond_is_at_most_what_they_need():
     assert samples_for(errors[2] / 2, SAMPLES, errors) == pytest.approx(4 * 256)
 
 
+def test_nothing_is_said_of_fewer_paths_than_were_rendered():
+    assert np.isnan(samples_for(0.5, SAMPLES, [0.4, 0.2, 0.1]))
+
+
 def test_an_error_of_phase_is_its_root_mean_square():
     rng = np.random.default_rng(1)
     everywhere = np.ones(SHAPE, bool)

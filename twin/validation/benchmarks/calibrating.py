@@ -32,8 +32,8 @@ from ...rig import open as open_twin
 from ...settings import load_twin_file
 from ..observations import Noise, Observations, build, observe
 from . import synthetic
+from .peak_memory import peak_mb
 from .rows import Row, interleaved, limited
-from .scaling import peak_mb
 
 FIT, FIT_RATIO, FIT_MEMORY = "fit every pixel", "fit every pixel, against SciPy", "fit every pixel, peak memory"
 CAMERA, ADJUSTMENT, BUNDLE = "calibrate the camera", "bundle adjustment", "calibrate by the bundle, from phases"

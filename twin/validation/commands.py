@@ -125,7 +125,7 @@ def bench(
     from .benchmarks.table import bench as run
     from .benchmarks.table import weight
 
-    sections = [only] if only else list(REQUIRED)
+    sections: list[Section] = [only] if only else list(REQUIRED)
     with progress(weight(sections), "bench", quiet=as_json) as advance:
         table = run(rig, settings or [], sections, advance)
     beside = {"not_holding": table.not_holding, "missing": dict(table.missing), "environment": environment()}

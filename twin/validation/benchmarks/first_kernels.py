@@ -11,7 +11,7 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from typing import Literal
+from typing import Literal, cast
 
 Step = Literal["decode", "capture"]
 
@@ -101,4 +101,5 @@ def _seconds(work: Callable[[], object]) -> float:
 
 
 if __name__ == "__main__":
-    json.dump(asdict(use(sys.argv[1], sys.argv[2], sys.argv[3:])), sys.stdout)
+    step, rig_name, *overrides = sys.argv[1:]
+    json.dump(asdict(use(cast(Step, step), rig_name, overrides)), sys.stdout)

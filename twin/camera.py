@@ -1,6 +1,7 @@
 """From light to grey values: the camera's noise chain by EMVA 1288."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -10,6 +11,8 @@ from greenough.instrument.rigfile import CameraSection
 from .randomness import exposure_key, instrument_rng
 from .renderer import dr, mi
 from .settings import CameraSettings
+
+Byte: Any = dr.uint8_array_t(mi.Float)
 
 
 @dataclass(frozen=True)
@@ -48,7 +51,7 @@ def expose(electrons: list[mi.Float], sensor: Sensor, seed: int, run: str, first
     section = sensor.section
     dtype = {0: np.float32, 8: np.uint8, 16: np.uint16}[section.bits]
     # All kernels are launched before the first result is waited for; whole grey values of 8 bits travel as such.
-    kind = dr.uint8_array_t(mi.Float) if section.bits == 8 else mi.Float
+    kind = Byte if section.bits == 8 else mi.Float
     frames = []
     for k, mean in enumerate(electrons):
         frames.append(kind(_read_out(mean, sensor, exposure_key(seed, run, first_serial + k))))

@@ -24,7 +24,15 @@ STARTUP = (
     ),
 )
 
-DECODING = ("decode",)
+_DECODERS = ("NumPy", "fringes, fast", "fringes, precise")
+
+DECODING = (
+    "copy the frames",
+    "decode",
+    "frames to points",
+    *(f"decode, against {peer}" for peer in _DECODERS),
+    *(f"wrong fringe orders at a noise of {noise} DN, against {peer}" for noise in (1, 3, 5, 8) for peer in _DECODERS),
+)
 
 CALIBRATING = (
     "fit every pixel",

@@ -19,7 +19,7 @@ from .path_drift import walk_covariance
 from .phase_height import PhaseHeight, PlanePhases
 from .point_spread import PointSpread
 from .rays import Rays
-from .slope_blur import level_phases
+from .slope_blur import freed_from_blur
 from .spots import Spots
 
 
@@ -77,9 +77,16 @@ class CalibrationData:
         return np.array([spots.centres_px for spots in self.spots])
 
     @property
-    def level_phases(self) -> tuple[SpotPhases, ...]:
-        """``spot_phases`` without what blur does to them on tilted boards, where the point spread is known."""
-        return level_phases(self.spot_phases, self.spots, self.camera.spot_heights(self.board), self.point_spread)
+    def sharp_postures(self) -> tuple[tuple[Spots, ...], tuple[SpotPhases, ...]]:
+        """``spots`` and ``spot_phases`` freed from what blur does on tilted boards, if the point spread is known."""
+        if self.point_spread is None:
+            return self.spots, self.spot_phases
+        heights = self.camera.spot_heights(self.board)
+        freed = [
+            freed_from_blur(spots, phases, z, self.point_spread)
+            for spots, phases, z in zip(self.spots, self.spot_phases, heights, strict=True)
+        ]
+        return tuple(spots for spots, _ in freed), tuple(phases for _, phases in freed)
 
     @property
     def drift_share(self) -> float:

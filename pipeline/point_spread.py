@@ -68,6 +68,11 @@ class PointSpread:
         """Height (...) over the surface in focus of points at heights (...) seen at ``pixels`` (..., 2), (u, v)."""
         return height_mm - _surface_terms(pixels, self.shape) @ np.array(self.focus_mm)
 
+    def focus_rise(self, pixels: np.ndarray) -> np.ndarray:
+        """Rise (..., 2) of the surface in focus along u and v, mm per px, at ``pixels`` (..., 2)."""
+        _, *tilt, curvature = self.focus_mm
+        return tilt + 2 * curvature * (pixels - (np.array(self.shape[::-1]) - 1) / 2)
+
     def transfer(self, shape: tuple[int, int], disc_radius_px: float) -> np.ndarray:
         """Transfer function (rows, cols) float32 in the order of ``fft2``: real, for the spread is symmetric."""
         v, u = np.fft.fftfreq(shape[0])[:, None], np.fft.fftfreq(shape[1])

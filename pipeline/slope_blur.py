@@ -1,24 +1,25 @@
-"""What blur does to the phase of a tilted surface out of focus: it belongs to a place beside the pixel's.
+"""What blur does to spots and phases of a tilted surface out of focus.
 
 A pixel sees the mean over the camera's stop. A ray through it at the angle a from the middle one meets the surface,
 which lies h above the focus and rises by s along the ray's tilt, at x = a (h + s x), that is at a h (1 + s a) to second
-order. Over a round stop a² is NA²/4 on average along each axis, so that the mean lies NA²/4 h s away. The projector's
-light does the same to the phase: what comes through the upper half of its stop falls more steeply and counts for more,
-by 1 - s a, and a place h above its focus sees through it a mirror that lies a h away.
+order. Over a round stop a² is NA²/4 on average along each axis, so that the mean lies NA²/4 h s away: half the gradient
+of the blur's variance. The projector's light does the same to the phase: what comes through the upper half of its stop
+falls more steeply and counts for more, by 1 - s a, and a place h above its focus sees through it a mirror that lies
+a h away. So a phase on a slope belongs to a place beside its pixel's, by
 
-An edge in the picture does not move along: the places at which the rays that meet it leave the focus are -a h, whose
-mean is 0. So a spot's centre and its phase tell of two places, a distance of
+    2 NA²/4 h s = D²/2 (z - z_focus) grad z,
 
-    δ = 2 NA²/4 h s = D²/2 (z - z_focus) grad z
+in pixels on the right with D the radius of the disc of defocus per height and grad z the rise per pixel. An edge in the
+picture does not move along, for the rays that meet it leave the focus at -a h, whose mean is 0; but a spot's fit, which
+takes the blur to be alike all around, is pulled by how it grows (`spot_fit`).
 
-apart, in pixels on the right with D the radius of the disc of defocus per height and grad z the rise per pixel. On a
-tilted board h grows along the slope, and the displacement looks like another tilt: heights would get another scale,
-by the order of NA²/4. The blur of the camera's picture is measured; the projector's lens is taken to be its twin, as in
-a Greenough microscope it is. What the lean of both paths makes of level surfaces is alike for all of them at a height,
-and so belongs to the model that is fitted: only their rise in the world counts here.
+On a tilted board h grows along the slope. What is moved then looks like another tilt, and heights get another scale, by
+the order of NA²/4; nothing in the data would show it. The blur of the camera's picture is measured. The projector's
+lens is taken to be its mirror image, as in a Greenough microscope it is: its focus leans the other way. What the lean
+of both paths makes of the phase of level surfaces is alike for all of them at a height, and so belongs to the model
+that is fitted: of phases only what the rise adds is put back.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -30,36 +31,33 @@ from .spots import Spots
 _LEAST_SPOTS = 3  # for a plane
 
 
-def level_phases(
-    phases: Sequence[SpotPhases], spots: Sequence[Spots], heights: np.ndarray, point_spread: PointSpread | None
-) -> tuple[SpotPhases, ...]:
-    """Phases as the spots' centres would have them on surfaces that lie level there.
+def freed_from_blur(
+    spots: Spots, phases: SpotPhases, z: np.ndarray, point_spread: PointSpread
+) -> tuple[Spots, SpotPhases]:
+    """A posture's spots where sharp ones would be, and phases as level surfaces would have them there.
 
     Parameters
     ----------
-    phases, spots : one per posture
-    heights : (postures, spots)
-        World heights of the spots, mm; micrometres hardly matter.
-    point_spread : PointSpread, optional
-        Without, the phases stay as they are.
+    spots : Spots
+        Without ``blur_pull`` they stay where they are.
+    phases : SpotPhases
+        At the same spots.
+    z : (spots,)
+        World heights, mm; micrometres hardly matter.
+    point_spread : PointSpread
     """
-    if point_spread is None:
-        return tuple(phases)
-    return tuple(
-        replace(
-            phase,
-            phase_rad=phase.phase_rad
-            - np.sum(phase.gradient_rad * displacement_px(seen.centres_px, z, point_spread), axis=1),
-        )
-        for phase, seen, z in zip(phases, spots, heights, strict=True)
-    )
-
-
-def displacement_px(pixels: np.ndarray, z: np.ndarray, point_spread: PointSpread) -> np.ndarray:
-    """How far (n, 2) beside pixels (n, 2) of a plane at heights z (n,) the places lie to which their phases belong."""
+    pixels = spots.centres_px
     known = np.isfinite(pixels).all(axis=1)
     if known.sum() < _LEAST_SPOTS:
-        return np.zeros_like(pixels)
+        return spots, phases
     plane = np.column_stack([np.ones(known.sum()), pixels[known]])
     rise = np.linalg.lstsq(plane, z[known], rcond=None)[0][1:]  # mm per px along u and v
-    return point_spread.defocus_px_per_mm**2 / 2 * point_spread.defocus_mm(pixels, z)[:, None] * rise
+    square = point_spread.defocus_px_per_mm**2
+    pulled = np.zeros_like(pixels)
+    if spots.blur_pull is not None:
+        growth = square / 4 * point_spread.defocus_mm(pixels, z)[:, None] * (rise - point_spread.focus_rise(pixels))
+        pulled = spots.blur_pull[:, None] * growth
+    of_both_paths = replace(point_spread, focus_mm=(point_spread.focus_mm[0], 0.0, *point_spread.focus_mm[2:]))
+    beside = square / 2 * of_both_paths.defocus_mm(pixels, z)[:, None] * rise
+    phase = phases.phase_rad - np.sum(phases.gradient_rad * (pulled + beside), axis=1)
+    return replace(spots, centres_px=pixels - pulled), replace(phases, phase_rad=phase)

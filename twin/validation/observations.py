@@ -21,7 +21,7 @@ from greenough.pipeline.acquisition import RIM_PX
 from greenough.pipeline.bundle_data import BundleData, PlaneBlocks, SpotPhases, block_side
 from greenough.pipeline.camera_calibration import CameraCalibration, calibrate_camera
 from greenough.pipeline.point_spread import PointSpread
-from greenough.pipeline.slope_blur import level_phases
+from greenough.pipeline.slope_blur import freed_from_blur
 from greenough.pipeline.spots import Spots
 from greenough.scenes.board import PrintedBoard, blank_height, ceramic_height
 
@@ -247,9 +247,11 @@ def observe(instrument: Instrument, noise: Noise, rng: np.random.Generator) -> O
         serial += frames
     board = instrument.rig_file.board.nominal
     camera = calibrate_camera(spots, board, instrument.rig_file.camera.shape, len(spots) - 1)
-    levelled = level_phases(phases, spots, camera.spot_heights(board), point_spread(instrument))
+    blur = point_spread(instrument)
+    seen = zip(spots, phases, camera.spot_heights(board), strict=True)
+    _, freed = zip(*(freed_from_blur(found, measured, z, blur) for found, measured, z in seen), strict=True)
     return Observations(
-        BundleData(tuple(spots), levelled, tuple(planes)),
+        BundleData(tuple(spots), freed, tuple(planes)),
         camera,
         np.array([0.0, *heights]),
         np.array(taken),

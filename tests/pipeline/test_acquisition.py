@@ -6,6 +6,7 @@ from dataclasses import fields, replace
 from functools import lru_cache
 from types import SimpleNamespace
 
+import h5py
 import numpy as np
 import pytest
 from scipy.ndimage import minimum_filter
@@ -401,6 +402,20 @@ def test_too_few_phases_at_spots_are_refused_before_the_planes_and_only_by_the_b
     assert list(Unfinished.beside(out).folder.glob("posture-*")) == []
     with PlainRig() as rig:
         assert calibrate(rig, out, run="run", method="paper").method == "paper"
+
+
+def test_planes_stay_in_their_files(tmp_path, monkeypatch):
+    def look(data):
+        assert isinstance(data.phases, h5py.Dataset)
+        assert data.phases.shape == (PROCEDURE.planes, *SHAPE)
+        assert np.isfinite(data.phases).any(axis=(1, 2)).all()
+        raise InputError("enough seen.")
+
+    out = tmp_path / "cal.h5"
+    monkeypatch.setitem(METHODS, "paper", CalibrationMethod(look, True, False))
+    with PlainRig() as rig, pytest.raises(InputError, match="enough seen"):
+        calibrate(rig, out, run="run", method="paper")
+    assert list(Unfinished.beside(out).folder.glob("plane-*")) == []
 
 
 def test_planes_beyond_the_stage_are_refused_before_anything_moves(tmp_path):

@@ -4,6 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from greenough.instrument.errors import InputError
+from greenough.pipeline import phase_height
 from greenough.pipeline.phase_height import MIN_PLANES, fit_phase_height
 
 HEIGHTS = (np.arange(30) - 14.5) * 0.1
@@ -186,3 +187,111 @@ def test_a_pixel_that_was_not_valid_does_not_become_so():
     part = relation.within(np.broadcast_to([-1.0, 1.0], (12, 16, 2)), np.ones((12, 16), dtype=bool))
     assert not part.valid[0, 0]
     assert part.valid.sum() == part.valid.size - 1
+
+
+def lstsq_heights(phase, z, t):
+    """Heights at normalised phases t of one pixel, in float64: eq. 19, then two Gauss-Newton steps of eq. 18.
+
+    By orthogonal factors of the equations themselves; normal equations would square their condition.
+    """
+    seen = np.isfinite(phase)
+    phase, z = phase[seen].astype(float), z[seen]
+    # Float32 like the stored numbers: another normalisation is another start.
+    centre, half_range = (np.float32(f(phase.max(), phase.min()) / 2) for f in (np.add, np.subtract))
+    at = (phase - centre) / half_range
+    m1, m0, n1 = np.linalg.lstsq(np.stack([at, np.ones_like(at), -at * z], axis=-1), z, rcond=None)[0]
+    r3 = 0.0
+    for _ in range(2):
+        w = (m1 * at + m0) / (n1 * at + 1)
+        by_w = (1 + 3 * r3 * w**2) / (n1 * at + 1)
+        jacobian = np.stack([by_w * at, by_w, -by_w * at * w, w**3], axis=-1)
+        lengths = np.linalg.norm(jacobian, axis=0)
+        step = np.linalg.lstsq(jacobian / lengths, z - w - r3 * w**3, rcond=None)[0] / lengths
+        m1, m0, n1, r3 = np.array([m1, m0, n1, r3]) + step
+    w = (m1 * t + m0) / (n1 * t + 1)
+    return w + r3 * w**3
+
+
+def departures(relation, phases, z):
+    """Heights of a relation less those of `lstsq_heights`, at phases from a tenth below to a tenth above the range."""
+    t = np.linspace(-1.1, 1.1, 12)
+    at = relation.phase_centre + t[:, None, None] * relation.phase_half_range.astype(float)
+    found = np.stack([relation.height(phase) for phase in at])
+    pixels = list(np.ndindex(relation.shape))
+    expected = np.stack([lstsq_heights(phases[:, row, col], z, t) for row, col in pixels], axis=-1)
+    return found - expected.reshape(found.shape)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize(
+    ("first", "last"), [(0, 30), (0, 8), (22, 30), (0, 12), (18, 30), (0, 20), (10, 30), (0, 25), (11, 19)]
+)
+def test_every_pixel_is_fitted_as_in_double_precision(first, last, dtype):
+    """To a fifth of 0.01 µm, a little beyond the ends too, with planes missing in between, at one end or at both."""
+    rng = np.random.default_rng(first)
+    noise = 0.0104 if last - first > 8 else 0.001  # with the noise of a single pixel eight planes leave r3 open
+    phases = planes(shape=(5, 6), stride=200) + rng.normal(0, noise, (30, 5, 6))
+    phases[:first], phases[last:] = np.nan, np.nan
+    if last - first > 20:
+        phases[rng.random(phases.shape) < 0.1] = np.nan
+    phases = phases.astype(dtype)
+    relation = fit_phase_height(phases, HEIGHTS).relation
+    assert relation.valid.all()
+    assert np.abs(departures(relation, phases, HEIGHTS)).max() < 0.002e-3
+
+
+def test_more_planes_than_one_kernel_takes_are_fitted_alike():
+    heights = np.linspace(-1.45, 1.45, 75)
+    rng = np.random.default_rng(2)
+    phases = (planes(heights, shape=(4, 6)) + rng.normal(0, 0.0104, (75, 4, 6))).astype(np.float32)
+    fit = fit_phase_height(phases, heights)
+    relation = fit.relation
+    assert np.abs(departures(relation, phases, heights)).max() < 0.002e-3
+    errors = np.array([relation.height(phase) - z for phase, z in zip(phases, heights, strict=True)])
+    np.testing.assert_allclose(fit.plane_residual_um, 1e3 * errors.mean(axis=(1, 2)), atol=1e-3)
+    np.testing.assert_allclose(fit.residual_um, 1e3 * np.sqrt(np.mean(errors**2, axis=0)), atol=1e-3)
+
+
+class AskedFor:
+    """Phases that note how many of them are asked for at once, as a file would be read."""
+
+    def __init__(self, phases):
+        self.phases, self.shape, self.most = phases, phases.shape, 0
+
+    def __getitem__(self, index):
+        part = self.phases[index]
+        self.most = max(self.most, part.size)
+        return part
+
+
+def test_strips_of_the_picture_make_no_difference_and_bound_what_is_read(monkeypatch):
+    rng = np.random.default_rng(6)
+    phases = (planes(shape=(23, 16)) + rng.normal(0, 0.0104, (30, 23, 16))).astype(np.float32)
+    phases[8:, 3, 2:9], phases[20, 7, 7] = np.nan, 0.0
+    whole = fit_phase_height(phases, HEIGHTS)
+    for limit in (30 * 16 * 5 + 7, 1):
+        monkeypatch.setattr(phase_height, "STRIP_PHASES", limit)
+        asked = AskedFor(phases)
+        parts = fit_phase_height(asked, HEIGHTS)
+        assert asked.most <= max(limit, 30 * 16)
+        for name in ("coefficients", "phase_centre", "phase_half_range", "z_range", "valid"):
+            one, other = (getattr(fit.relation, name) for fit in (whole, parts))
+            np.testing.assert_array_equal(one, other)
+        np.testing.assert_allclose(parts.plane_residual_um, whole.plane_residual_um, atol=1e-4)
+        assert parts.condition == whole.condition
+
+
+def test_a_relation_known_in_fewer_pixels_is_the_same_there():
+    phases = planes()
+    phases[MIN_PLANES - 1 :, 0, 0] = np.nan
+    relation = fit_phase_height(phases, HEIGHTS).relation
+    chosen = np.random.default_rng(8).random(relation.shape) < 0.5
+    chosen[0, 0] = True
+    fewer = relation.where(chosen)
+    assert np.array_equal(fewer.valid, chosen & relation.valid)
+    assert not fewer.valid[0, 0]
+    for name in ("coefficients", "phase_centre", "phase_half_range", "z_range"):
+        one, other = (getattr(each, name) for each in (relation, fewer))
+        assert other.dtype == np.float32
+        assert np.array_equal(one[fewer.valid], other[fewer.valid])
+        assert np.isnan(other[~fewer.valid]).all()

@@ -6,12 +6,22 @@ from importlib.metadata import entry_points
 from types import SimpleNamespace
 from typing import get_args
 
+import numpy as np
 import pytest
 
 from greenough.instrument.command import GROUP, run
 from greenough.instrument.errors import InputError
 from greenough.twin.validation import commands
-from greenough.twin.validation.benchmarks import capturing, required, startup, study, table
+from greenough.twin.validation.benchmarks import (
+    calibrating,
+    capturing,
+    demonstration,
+    rendering,
+    required,
+    startup,
+    study,
+    table,
+)
 from greenough.twin.validation.benchmarks.first_kernels import FirstUse
 from greenough.twin.validation.benchmarks.required import REQUIRED
 from greenough.twin.validation.benchmarks.rows import Row, limited
@@ -156,6 +166,42 @@ def test_captures_have_all_their_rows(monkeypatch: pytest.MonkeyPatch) -> None:
     coarse = ["camera.rows=240", "camera.cols=320", "twin.optics.camera_focal_px=5670.75", "twin.optics.glass=false"]
     large = ["board.small_diameter_mm=0.3", "board.big_diameter_mm=0.5", "twin.render.nodes_edges=16"]
     assert tuple(row.name for row in capturing.rows("twin", [*coarse, *large])) == REQUIRED["capturing"]
+
+
+def test_renderings_have_all_their_rows(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With made-up pictures and times."""
+
+    def picture(*given: int) -> np.ndarray:
+        rng = np.random.default_rng(sum(given))
+        return np.cos(2 * np.pi * np.arange(12) / 12) + rng.normal(0, 0.01, (4, 5, 12))
+
+    both = SimpleNamespace(
+        ours=picture,
+        ours_equal=picture,
+        theirs=picture,
+        reference=picture,
+        has_fringes=lambda stack: np.ones(stack.shape[:2], bool),
+        own=None,
+        frames=24,
+    )
+    monkeypatch.setattr(rendering, "both_renderers", lambda *rig: both)
+    monkeypatch.setattr(rendering, "rendering", lambda *scene: None)
+    monkeypatch.setattr(rendering, "interleaved", lambda works, repeats: dict.fromkeys(works, 1.0))
+    found = {row.name: row.limit for row in rendering.rows("twin", SMALL)}
+    assert set(found) == set(REQUIRED["rendering"])
+    assert sorted(limit for limit in found.values() if limit is not None) == [1 / 50, 1 / 15, 4, 4]
+
+
+def test_whole_calibrations_and_the_demo_are_judged_by_their_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    steps = []
+    monkeypatch.setattr(calibrating, "calibrate", lambda rig, out, run, advance: steps.append(advance(1)))
+    monkeypatch.setattr(demonstration, "demonstrate", lambda rig, overrides, folder, advance: steps.append(folder))
+    whole, *shares = calibrating.whole_calibration_rows("twin", SMALL)
+    (demo,) = demonstration.rows("twin", SMALL)
+    assert len(steps) == 2
+    assert tuple(row.name for row in (whole, *shares)) == REQUIRED["calibration"]
+    assert (demo.name,) == REQUIRED["demo"]
+    assert (whole.limit, demo.limit) == (100, 240)
 
 
 def test_a_study_is_compared_with_itself_on_one_worker(monkeypatch: pytest.MonkeyPatch) -> None:

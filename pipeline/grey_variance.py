@@ -8,6 +8,7 @@ from scipy.optimize import nnls
 
 from greenough.instrument.contract import CameraNoise
 
+from .blas import on_one_thread
 from .fringes import FringeSet
 
 QUANTISATION_VARIANCE = 1 / 12
@@ -47,6 +48,7 @@ def camera_variance(noise: CameraNoise, quantised: bool) -> GreyVariance:
     return GreyVariance(at_black + (QUANTISATION_VARIANCE if quantised else 0.0), 1 / noise.electrons_per_dn)
 
 
+@on_one_thread
 def estimate_variance(
     stack: np.ndarray, fringes: FringeSet, black_dn: float = 0.0, full_scale_dn: float = inf
 ) -> GreyVariance:

@@ -4,8 +4,8 @@ Grey values are in DN. The frames of a set are I_n = A + B cos(Φ + 2π n / N).
 """
 
 from dataclasses import dataclass
-from functools import reduce
 from math import inf
+from typing import Any
 
 import numpy as np
 
@@ -85,19 +85,21 @@ def decode(
     # call, since replaying it (`drjit.freeze`) from two threads at a time ends the process.
     black, full_scale = dr.opaque(Float, black_dn), dr.opaque(Float, full_scale_dn)
     per_dn = _per_pixel(noise.per_dn, shape)
-    as_captured = [_mapped(frame) for frame in stack]
+    as_captured: list[Any] = [_mapped(frame) for frame in stack]  # the stubs allow nothing to be done to a union
     grey = [Float(frame) for frame in as_captured]
     background = _sum(grey) / len(grey) - black
     variance = _per_pixel(noise.at_black_dn2, shape) + per_dn * dr.maximum(background, 0)
     phasors = [estimate_phasor(grey[part], variance, per_dn) for part in fringes.slices]
     phases, phase_variances = [each.phase for each in phasors], [each.variance for each in phasors]
     unwrapped = unwrap(phases, phase_variances, fringes)
-    brightest = Float(reduce(dr.maximum, as_captured))  # bytes are compared faster than what is made of them
+    brightest = as_captured[0]  # of bytes where there are some: they are compared faster than what is made of them
+    for values in as_captured[1:]:
+        brightest = dr.maximum(brightest, values)
     valid: Bool = (
         unwrapped.resolved
         & (dr.abs(unwrapped.residual) < RESIDUAL_LIMIT)
         & order_is_safe(phase_variances, fringes)
-        & (brightest < full_scale)
+        & (Float(brightest) < full_scale)
     )
     absolute = dr.select(valid, unwrapped.absolute, dr.nan)
     sigma = dr.sqrt(phase_variances[-1])

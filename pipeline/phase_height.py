@@ -144,8 +144,13 @@ class PhaseHeight:
         def kept(values: np.ndarray) -> np.ndarray:
             return np.where(valid.reshape(valid.shape + (1,) * (values.ndim - 2)), values, np.float32(np.nan))
 
-        known = (self.coefficients, self.phase_centre, self.phase_half_range, self.z_range.astype(np.float32))
-        return PhaseHeight(*map(kept, known), valid)
+        return PhaseHeight(
+            kept(self.coefficients),
+            kept(self.phase_centre),
+            kept(self.phase_half_range),
+            kept(self.z_range.astype(np.float32)),
+            valid,
+        )
 
     def covers(self, phase: np.ndarray, margin_mm: float) -> np.ndarray:
         """Where a phase (rows, cols) lies in the pixel's calibrated range, or outside by a height of ``margin_mm``.

@@ -11,6 +11,7 @@ whose columns have less than ``LEAST_SHARE`` of their own are fitted again in do
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -25,7 +26,8 @@ _REFINEMENTS = 2
 _LEAST_PIVOT = 1e-10  # the same share, of anything to be solved
 _PLANES_AT_ONCE = 32  # of which a kernel is made: it takes longer to compile with every one
 
-Real = Float | Float64
+Real = Any
+"""Float or Float64, the same throughout a fit; of either, Dr.Jit's stubs know no selection between value and number."""
 
 Plane = tuple[Real, Real]
 """Phase of every pixel, and the height."""

@@ -6,7 +6,8 @@ from typing import cast
 import numpy as np
 
 from greenough.instrument.contract import Placement
-from greenough.pipeline import FringeSet, decode
+from greenough.pipeline.decode import decode
+from greenough.pipeline.fringes import FringeSet
 from greenough.pipeline.spots import detect_spots
 
 from ...plugins import FringeIntegrator

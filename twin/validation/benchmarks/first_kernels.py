@@ -72,7 +72,8 @@ def use(step: Step, rig_name: str, overrides: Sequence[str]) -> FirstUse:
 
 def _decode(rig_name: str, overrides: Sequence[str]) -> Callable[[], object]:
     from greenough.instrument.rigfile import load_rig_file
-    from greenough.pipeline import FringeSet, decode
+    from greenough.pipeline.decode import decode
+    from greenough.pipeline.fringes import FringeSet
 
     from .synthetic import frames
 

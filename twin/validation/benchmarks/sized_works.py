@@ -6,8 +6,10 @@ from typing import cast
 import numpy as np
 
 from greenough.instrument.rigfile import load_rig_file
-from greenough.pipeline import FringeSet, PhaseMap, PointMap, decode, reconstruct
+from greenough.pipeline.decode import PhaseMap, decode
+from greenough.pipeline.fringes import FringeSet
 from greenough.pipeline.phase_height import PhaseHeightFit, fit_phase_height
+from greenough.pipeline.reconstruct import PointMap, reconstruct
 from greenough.scenes.parts import Part
 
 from ...plugins import FringeIntegrator

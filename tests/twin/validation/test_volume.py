@@ -8,6 +8,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from greenough.pipeline.decode import PhaseMap
+from greenough.pipeline.phase_height import PhaseHeight
+from greenough.pipeline.point_kernel import PointKernel
+from greenough.pipeline.rays import Rays
 from greenough.pipeline.reconstruct import PointMap
 from greenough.twin.validation import volume as volume_module
 from greenough.twin.validation.mechanics import calibration_noise_share
@@ -118,18 +121,15 @@ def test_points_are_lost_where_the_error_leads_out_of_the_calibrated_heights(ana
     setup = analytic(motion(height))
     image = np.zeros(z.shape)
 
-    def rays(z: np.ndarray) -> np.ndarray:
-        return np.stack([image, image, z], axis=-1)
-
-    setup.calibration.rays = SimpleNamespace(points=rays, slope=np.zeros((*z.shape, 2)))
+    upright = np.zeros((*z.shape, 2), np.float32)
+    middle, half = known.mean(axis=-1), np.ptp(known, axis=-1) / 2
+    coefficients = np.stack([half, middle, 0 * z, 0 * z], axis=-1)  # such that the phase is the height
+    relation = PhaseHeight(coefficients, middle, half, known, np.ones(z.shape, bool))
+    setup.calibration.rays = Rays(upright, upright)
+    setup.calibration.phase_height = relation
+    setup.calibration.point_kernel = PointKernel.of(relation, setup.calibration.rays, margin_mm=0.05)
     setup.calibration.uncertainty_after = lambda exposures: None
     setup.calibration.check_shape = lambda shape: None
-    setup.calibration.phase_height = SimpleNamespace(
-        height=lambda phase: phase,
-        slope=np.ones_like,
-        z_range=known,
-        covers=lambda phase, margin_mm: (phase > known[..., 0] - margin_mm) & (phase < known[..., 1] + margin_mm),
-    )
     found = share_lost(setup, PhaseMap(z, image, image, valid, image, image))
     assert found == pytest.approx(lost * 16 / 12)
     assert share_lost(setup, PhaseMap(z, image, image, image > 0, image, image)) == 1

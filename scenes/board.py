@@ -23,12 +23,9 @@ from .triangulation import grid_faces, grid_points, ring_faces
 _SPOT_SAGITTA_MM = 5e-5  # between a spot's circle and the sides of its polygon
 
 # Long slivers from a spot's middle to its circle, and on to the border of its cell, would cost rays the most: each ray
-# meets many. Instead polygons of ever fewer corners follow each other inwards, all on the circle, and outwards.
-_FAN = 18  # most sides of the polygon that is left for a fan around the middle
-_RINGS = (
-    1 / 16,
-    1 / 4,
-)  # of polygons of half and a quarter of the corners between circle and border: shares of the way
+# meets many. Instead rings of ever fewer points follow each other inwards and outwards.
+_FAN = 18  # most points of the ring that is left for a fan around the middle
+_RINGS = (1 / 16, 1 / 4)  # of half and a quarter of the circle's points: shares of the way from there to the border
 _BORDER = 2  # corners of the border for each eighth of the way round
 
 
@@ -173,15 +170,16 @@ def _best_fitted(points: np.ndarray, reference: np.ndarray) -> np.ndarray:
 def _spots(printed: PrintedBoard) -> Part:
     """The ceramic discs."""
     circles = _circles(printed)
-    triangles = []
-    while circles.shape[1] > _FAN and circles.shape[1] % 2 == 0:  # every second corner is cut off
-        ears = [circles[:, ::2], circles[:, 1::2], np.roll(circles[:, ::2], -1, axis=1)]
-        triangles.append(np.stack(ears, axis=2))
-        circles = circles[:, ::2]
-    centres = np.broadcast_to(printed.centres[:, None], circles.shape)
-    triangles.append(np.stack([centres, circles, np.roll(circles, -1, axis=1)], axis=2))
-    discs = np.concatenate(triangles, axis=1).reshape(-1, 3, 2)
-    return _draped(discs, lambda xy: ceramic_height(printed, xy), "ceramic")
+    count, radii = circles.shape[1], printed.nominal.diameters() / 2
+    rings, points = [circles], count
+    while points > _FAN and points % 2 == 0:
+        points //= 2
+        share = 1 - 8 * (1 / points - 1 / count)  # triangles as high as they are wide, about
+        rings.append(printed.centres[:, None] + (share * radii)[:, None, None] * _directions(points))
+    rings.append(printed.centres[:, None])
+    rings.reverse()
+    corners = np.concatenate(rings, axis=1)[:, ring_faces([ring.shape[1] for ring in rings])]
+    return _draped(corners.reshape(-1, 3, 2), lambda xy: ceramic_height(printed, xy), "ceramic")
 
 
 def _ink(printed: PrintedBoard) -> Part:

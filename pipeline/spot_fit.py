@@ -10,16 +10,6 @@ minus model adds up to contrast times how far the edge's mean lies outside. For 
 
 is the shift d of the centre, with ρ the distance from it; an ellipse is made a circle first. That takes away most of
 what the skew does; a part of it the fit has taken for a gradient of the light.
-
-Blur that grows across a spot, as on a tilted board out of focus, moves the centre too. With the variance σ² + 2 δ·x in
-place of σ², light f is blurred to f + ½ σ² Δf + div((δ·x) grad f), and to a disc of radius R that adds, ρ and n being
-distance and direction from its centre,
-
-    -contrast (δ·n) [p(ρ - R) + R p'(ρ - R)],   p the edge's derivative.
-
-The first part is a shift by -δ, the second is odd across the edge and is taken for light and shift in part. What the
-fit makes of both is linear in δ. The fit cannot tell δ well, so it says by how much its centre follows, and whoever
-knows how the blur grows can put that back.
 """
 
 from dataclasses import dataclass
@@ -58,8 +48,6 @@ class SpotFits:
     asymmetry_dn : (n,)
         Root mean square of the residual's odd part about the centre, scaled to equal ``residual_dn`` for white noise.
         Blur of another shape than assumed is even and moves no centre; the edge of the light or dirt is not.
-    blur_pull : (n,)
-        How far the centre moves along with δ, half the gradient of the blur's variance.
     """
 
     centres_px: np.ndarray
@@ -69,7 +57,6 @@ class SpotFits:
     contrast_dn: np.ndarray
     residual_dn: np.ndarray
     asymmetry_dn: np.ndarray
-    blur_pull: np.ndarray
 
 
 def fit_spots(image: np.ndarray, centres_px: np.ndarray, axes_px: np.ndarray) -> SpotFits:
@@ -95,7 +82,7 @@ def fit_spots(image: np.ndarray, centres_px: np.ndarray, axes_px: np.ndarray) ->
     middle = np.rint(centres_px).astype(int)
     rows, cols = image.shape
     fits_in = np.all((middle >= half[:, None]) & (middle < [cols, rows] - half[:, None]), axis=1)
-    result = np.full((count, 10), np.nan)
+    result = np.full((count, 9), np.nan)
     for size in np.unique(half[fits_in]):
         group = np.flatnonzero(fits_in & (half == size))
         result[group] = _fit_windows(image, middle[group], int(size), centres_px[group], axes_px[group])
@@ -105,7 +92,7 @@ def fit_spots(image: np.ndarray, centres_px: np.ndarray, axes_px: np.ndarray) ->
 def _fit_windows(
     image: np.ndarray, middle: np.ndarray, half: int, centres_px: np.ndarray, axes_px: np.ndarray
 ) -> np.ndarray:
-    """Gauss-Newton over windows of one size, all spots at once; (n, 10) columns in the order of SpotFits."""
+    """Gauss-Newton over windows of one size, all spots at once; (n, 9) columns in the order of SpotFits."""
     count = len(middle)
     offset = np.arange(-half, half + 1)
     y, x = (grid.ravel().astype(float) for grid in np.meshgrid(offset, offset, indexing="ij"))  # (pixels,)
@@ -142,7 +129,6 @@ def _fit_windows(
     covariance = np.linalg.inv(jacobian @ jacobian.transpose(0, 2, 1) + 1e-12 * np.eye(10))
     weights = to_mean + (of_fit - to_mean @ jacobian.transpose(0, 2, 1)) @ covariance @ jacobian
     sigma = np.sqrt(variance * np.square(weights).sum(axis=(1, 2)) / 2)
-    pull = np.einsum("nkp,nkp->n", weights, _of_growing_blur(parameters, radius2, x, y, slopes)) / 2
 
     q_xx, q_xy, q_yy = parameters[:, 2:5].T / radius2
     mean, spread = (q_xx + q_yy) / 2, np.hypot((q_xx - q_yy) / 2, q_xy)
@@ -152,8 +138,7 @@ def _fit_windows(
     gradient = parameters[:, 8:] / half  # relative, 1/px
     shift = np.einsum("nkp,np->nk", to_mean, residual)
     centres = middle + parameters[:, :2] + blur[:, None] ** 2 * gradient + shift
-    asymmetry = np.sqrt(np.mean(odd**2, axis=1))
-    table = np.column_stack([centres, axes, sigma, blur, contrast, np.sqrt(variance), asymmetry, pull])
+    table = np.column_stack([centres, axes, sigma, blur, contrast, np.sqrt(variance), np.sqrt(np.mean(odd**2, axis=1))])
     bad = ~np.isfinite(table).all(axis=1) | (np.abs(step[:, :2]).max(axis=1) > 0.01) | (contrast <= 0)
     table[bad] = np.nan
     return table
@@ -181,21 +166,6 @@ def _edge_weights(
     return np.linalg.solve(to_circle, on_circle * weight[:, None])
 
 
-def _of_growing_blur(
-    parameters: np.ndarray, radius2: np.ndarray, x: np.ndarray, y: np.ndarray, slopes: np.ndarray
-) -> np.ndarray:
-    """What blur that grows along x, and along y, adds to a picture per px of δ, (n, 2, pixels)."""
-    blur, contrast = parameters[:, 5, None], parameters[:, 7, None]
-    dx, dy, gx, gy, root = _on_ellipse(parameters, radius2, x, y)
-    size = np.maximum(np.hypot(gx, gy), 1e-12)
-    distance = (root - 1.0) * root / size
-    edge = np.exp(-0.5 * (distance / blur) ** 2) / (np.sqrt(2.0 * np.pi) * blur)
-    radius = np.hypot(dx, dy) - distance
-    light = 1.0 + parameters[:, 8:] @ slopes
-    profile = -contrast * light * edge * (1.0 - radius * distance / blur**2)
-    return np.stack([profile * gx / size, profile * gy / size], axis=1)
-
-
 def _limited(step: np.ndarray) -> np.ndarray:
     """Keep the first steps inside the region where the linearised edge still means something."""
     limits = np.array([2.0, 2.0, 0.3, 0.3, 0.3, 0.5] + [np.inf] * 4)
@@ -206,8 +176,11 @@ def _blurred_ellipse(
     parameters: np.ndarray, radius2: np.ndarray, x: np.ndarray, y: np.ndarray, slopes: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Model (n, pixels) and its derivatives (n, 10, pixels)."""
-    blur = parameters[:, 5, None]
-    dx, dy, gx, gy, root = _on_ellipse(parameters, radius2, x, y)
+    cx, cy, q_xx, q_xy, q_yy, blur = (column[:, None] for column in parameters[:, :6].T)
+    dx, dy = x - cx, y - cy
+    gx, gy = (q_xx * dx + q_xy * dy) / radius2[:, None], (q_xy * dx + q_yy * dy) / radius2[:, None]
+    form = np.maximum(dx * gx + dy * gy, 1e-12)
+    root = np.sqrt(form)  # 1 on the ellipse
     # (root - 1) / |gradient of root|; the gradient's own change is left out of the derivatives: it vanishes on the rim.
     slope = root / np.maximum(np.hypot(gx, gy), 1e-12)
     scaled = (root - 1.0) * slope / blur
@@ -229,16 +202,3 @@ def _blurred_ellipse(
     jacobian[:, 7] = light * inside
     jacobian[:, 8:] = slopes * reflected[:, None]
     return light * reflected, jacobian
-
-
-def _on_ellipse(
-    parameters: np.ndarray, radius2: np.ndarray, x: np.ndarray, y: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Pixels as the ellipse has them, (n, pixels) each: from its centre along x and y; half the gradient of its form.
-
-    The last is the root of the form: 1 on the rim.
-    """
-    cx, cy, q_xx, q_xy, q_yy = (column[:, None] for column in parameters[:, :5].T)
-    dx, dy = x - cx, y - cy
-    gx, gy = (q_xx * dx + q_xy * dy) / radius2[:, None], (q_xy * dx + q_yy * dy) / radius2[:, None]
-    return dx, dy, gx, gy, np.sqrt(np.maximum(dx * gx + dy * gy, 1e-12))

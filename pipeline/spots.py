@@ -1,6 +1,6 @@
 """Finds the calibration board's spots in a picture and measures their centres."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -38,15 +38,12 @@ class Spots:
         Standard deviation of each coordinate of a centre, from the fit's own residual.
     blur_px : (rows * cols,), optional
         Standard deviation of the Gaussian that blurs the edge, the pixel's own area included.
-    blur_pull : (rows * cols,), optional
-        How far the centre is off along δ, half the gradient of the blur's variance, per px of δ: see `spot_fit`.
     """
 
     centres_px: np.ndarray
     axes_px: np.ndarray
     sigma_px: np.ndarray
     blur_px: np.ndarray | None = None
-    blur_pull: np.ndarray | None = None
 
     @property
     def seen(self) -> np.ndarray:
@@ -99,7 +96,7 @@ def detect_spots(image: np.ndarray, board: SpotBoard) -> Spots:
         ordered[seen] = values[good]
         return ordered
 
-    return Spots(*(in_order(getattr(fits, field.name)) for field in fields(Spots)))
+    return Spots(in_order(fits.centres_px), in_order(fits.axes_px), in_order(fits.sigma_px), in_order(fits.blur_px))
 
 
 def _noise_dn(image: np.ndarray) -> float:

@@ -20,8 +20,6 @@ from greenough.instrument.rigfile import RigFile
 from greenough.pipeline.acquisition import RIM_PX
 from greenough.pipeline.bundle_data import BundleData, PlaneBlocks, SpotPhases, block_side
 from greenough.pipeline.camera_calibration import CameraCalibration, calibrate_camera
-from greenough.pipeline.point_spread import PointSpread
-from greenough.pipeline.slope_blur import freed_from_blur
 from greenough.pipeline.spots import Spots
 from greenough.scenes.board import PrintedBoard, blank_height, ceramic_height
 
@@ -247,25 +245,13 @@ def observe(instrument: Instrument, noise: Noise, rng: np.random.Generator) -> O
         serial += frames
     board = instrument.rig_file.board.nominal
     camera = calibrate_camera(spots, board, instrument.rig_file.camera.shape, len(spots) - 1)
-    blur = point_spread(instrument)
-    seen = zip(spots, phases, camera.spot_heights(board), strict=True)
-    _, freed = zip(*(freed_from_blur(found, measured, z, blur) for found, measured, z in seen), strict=True)
     return Observations(
-        BundleData(tuple(spots), freed, tuple(planes)),
+        BundleData(tuple(spots), tuple(phases), tuple(planes)),
         camera,
         np.array([0.0, *heights]),
         np.array(taken),
         bench.world_from_twin(),
     )
-
-
-def point_spread(instrument: Instrument) -> PointSpread:
-    """What the pipeline finds of the blur by the open stop."""
-    optics = instrument.settings.optics
-    px_per_mm = optics.camera_focal_px / optics.pupil_distance_mm
-    na = optics.na if optics.finite_aperture else 0.0
-    cutoff = 2 * optics.na / (optics.wavelength_um * 1e-3 * px_per_mm)
-    return PointSpread(cutoff, na * px_per_mm, (0.0, 0.0, 0.0, 0.0), instrument.rig_file.camera.shape)
 
 
 def moved_by(instrument: Instrument, serial: int, only_densest: bool = False) -> np.ndarray:

@@ -100,13 +100,13 @@ def accept(
     overrides = settings or []
     total = captures(rig, overrides, calibrated=calibration is not None)
     with progress(total, "accepting", quiet=as_json) as advance:
-        acceptance = run(rig, overrides, calibration, out, advance)
-    rows = [asdict(row) for row in acceptance.rows]
+        table = run(rig, overrides, calibration, out, advance)
+    rows = [asdict(row) for row in table.rows]
     if not as_json:
         rows = [{name: value for name, value in row.items() if name != "criterion"} for row in rows]
-    beside = {"not_holding": acceptance.not_holding, "missing": dict(acceptance.missing), "table": out}
+    beside = {"not_holding": table.not_holding, "missing": dict(table.missing), "table": out}
     show({"rows": rows, **beside}, as_json)
-    if not acceptance.accepted:
+    if not table.holds:
         raise typer.Exit(1)
 
 

@@ -15,6 +15,7 @@ from greenough.pipeline.unfinished import Unfinished
 
 from ...rig import open as open_twin
 from ..claims import environment
+from ..judged_table import JudgedTable
 from ..measured_noise import STEADY
 from ..setup import Setup
 from . import ball_grid, diaphragm, flatness, mapping, noise, resolution, spheres, steps
@@ -79,31 +80,6 @@ GROUPS: Mapping[str, Group] = {
 }
 
 
-@dataclass(frozen=True)
-class Acceptance:
-    """The table.
-
-    Parameters
-    ----------
-    rows : tuple of Row
-    missing : mapping of str to str
-        Names of rows that should be there and are not, each with the reason.
-    """
-
-    rows: tuple[Row, ...]
-    missing: Mapping[str, str]
-
-    @property
-    def not_holding(self) -> list[str]:
-        """Names of rows that do not keep to their limit."""
-        return [row.name for row in self.rows if row.holds is False]
-
-    @property
-    def accepted(self) -> bool:
-        """Whether every row is there and none fails."""
-        return not self.missing and not self.not_holding
-
-
 def captures(rig_name: str, overrides: Sequence[str], calibrated: bool) -> int:
     """How many steps of progress `accept` takes."""
     rig, _ = open_twin(rig_name, overrides)
@@ -113,7 +89,7 @@ def captures(rig_name: str, overrides: Sequence[str], calibrated: bool) -> int:
 
 def accept(
     rig_name: str, overrides: Sequence[str], calibration_file: Path | None, out: Path, advance: Advance
-) -> Acceptance:
+) -> JudgedTable[Row]:
     """Measure every artefact with one instrument and write the table to ``out``.
 
     Parameters
@@ -145,12 +121,12 @@ def accept(
     still, still_bench = open_twin(rig_name, [*overrides, *STEADY], run=f"{MEASUREMENT_RUN} steady")
     instrument = Instrument(Setup(rig, bench, calibration), Setup(still, still_bench, calibration))
     with rig, still:
-        acceptance = judge(instrument, advance)
-    _write(out, acceptance, {"rig": rig_name, "settings": list(overrides)})
-    return acceptance
+        table = judge(instrument, advance)
+    _write(out, table, {"rig": rig_name, "settings": list(overrides)})
+    return table
 
 
-def judge(instrument: Instrument, advance: Advance) -> Acceptance:
+def judge(instrument: Instrument, advance: Advance) -> JudgedTable[Row]:
     """The rows of every group, and which of them are missing for what reason."""
     rows: list[Row] = []
     missing: dict[str, str] = {}
@@ -162,7 +138,7 @@ def judge(instrument: Instrument, advance: Advance) -> Acceptance:
             reason = f"{what}: {error}"
         found = {row.name for row in rows}
         missing |= {name: reason for name in group.names if name not in found}
-    return Acceptance(tuple(rows), missing)
+    return JudgedTable(tuple(rows), missing)
 
 
 def _calibrate(rig_name: str, overrides: Sequence[str], out: Path, advance: Advance) -> Calibration:
@@ -173,9 +149,9 @@ def _calibrate(rig_name: str, overrides: Sequence[str], out: Path, advance: Adva
         return acquisition.calibrate(rig, file, CALIBRATION_RUN, advance)
 
 
-def _write(out: Path, acceptance: Acceptance, facts: Mapping[str, Any]) -> None:
-    rows = [{name: _or_none(value) for name, value in asdict(row).items()} for row in acceptance.rows]
-    document = {"rows": rows, "missing": dict(acceptance.missing), "environment": environment() | dict(facts)}
+def _write(out: Path, table: JudgedTable[Row], facts: Mapping[str, Any]) -> None:
+    rows = [{name: _or_none(value) for name, value in asdict(row).items()} for row in table.rows]
+    document = {"rows": rows, "missing": dict(table.missing), "environment": environment() | dict(facts)}
     out.parent.mkdir(parents=True, exist_ok=True)
     with atomic_path(out) as temporary:
         temporary.write_text(json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False), encoding="utf-8")

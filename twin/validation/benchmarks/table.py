@@ -7,6 +7,7 @@ from importlib.util import find_spec
 
 from greenough.instrument.errors import InputError
 
+from ..judged_table import JudgedTable
 from .required import REQUIRED, Section
 from .rows import Row
 
@@ -50,31 +51,6 @@ INSTALL: Mapping[str, str] = {
 """How to get a peer that is not installed; make bench does."""
 
 
-@dataclass(frozen=True)
-class Table:
-    """What was measured.
-
-    Parameters
-    ----------
-    rows : tuple of Row
-    missing : mapping of str to str
-        Names of rows that should be there and are not, each with the reason.
-    """
-
-    rows: tuple[Row, ...]
-    missing: Mapping[str, str]
-
-    @property
-    def not_holding(self) -> list[str]:
-        """Names of rows that do not keep to their limit."""
-        return [row.name for row in self.rows if row.holds is False]
-
-    @property
-    def holds(self) -> bool:
-        """Whether every row is there and none fails."""
-        return not self.missing and not self.not_holding
-
-
 def weight(sections: Iterable[Section]) -> int:
     """Steps of progress that `bench` takes for these sections."""
     return sum(MEASUREMENTS[section].weight for section in sections)
@@ -82,7 +58,7 @@ def weight(sections: Iterable[Section]) -> int:
 
 def bench(
     rig_name: str, overrides: Sequence[str], sections: Iterable[Section], advance: Callable[[float], None]
-) -> Table:
+) -> JudgedTable[Row]:
     """Measure sections of the table one after the other.
 
     Parameters
@@ -118,4 +94,4 @@ def bench(
         found = {row.name for row in rows}
         missing |= {name: reason or f"{section} yielded no such row" for name in REQUIRED[section] if name not in found}
         advance(measurement.weight)
-    return Table(tuple(rows), missing)
+    return JudgedTable(tuple(rows), missing)

@@ -41,21 +41,21 @@ def judged(instrument, monkeypatch, **groups: Group):
 
 def test_a_table_whose_rows_all_hold_is_accepted(instrument, monkeypatch):
     found = judged(instrument, monkeypatch, ball=group(0.5, -1.0))
-    assert found.accepted
+    assert found.holds
     assert [row.name for row in found.rows] == ["a", "b"]
 
 
 def test_one_row_that_does_not_hold_or_has_no_figure_refuses_it(instrument, monkeypatch):
     for value in (1.5, float("nan")):
         found = judged(instrument, monkeypatch, ball=group(0.5, value))
-        assert not found.accepted
+        assert not found.holds
         assert found.not_holding == ["b"]
         assert not found.missing
 
 
 def test_a_row_that_should_be_there_and_is_not_refuses_it(instrument, monkeypatch):
     found = judged(instrument, monkeypatch, ball=group(0.5, names=("a", "z")))
-    assert not found.accepted
+    assert not found.holds
     assert list(found.missing) == ["z"]
 
 

@@ -123,10 +123,9 @@ def bench(
     """
     from .benchmarks.environment import environment
     from .benchmarks.table import bench as run
-    from .benchmarks.table import weight
 
     sections: list[Section] = [only] if only else list(REQUIRED)
-    with progress(weight(sections), "bench", quiet=as_json) as advance:
+    with progress(len(sections), "bench", quiet=as_json) as advance:
         table = run(rig, settings or [], sections, advance)
     beside = {"not_holding": table.not_holding, "missing": dict(table.missing), "environment": environment()}
     show({"rows": [asdict(row) for row in table.rows], **beside}, as_json)

@@ -20,28 +20,25 @@ class Measurement:
     ----------
     module, function : str
         Of this package: ``function(rig_name, overrides)`` makes the rows.
-    weight : int
-        The section's share of the progress, which is about its share of the time.
     peers : tuple of str
         Modules of other people without which not all rows can be made.
     """
 
     module: str
-    weight: int
     function: str = "rows"
     peers: tuple[str, ...] = ()
 
 
 MEASUREMENTS: Mapping[Section, Measurement] = {
-    "startup": Measurement("startup", 3),
-    "decoding": Measurement("decoding", 10, peers=("fringes",)),
-    "calibrating": Measurement("calibrating", 10),
-    "rendering": Measurement("rendering", 20),
-    "capturing": Measurement("capturing", 2),
-    "scaling": Measurement("scaling", 20),
-    "study": Measurement("study", 10),
-    "calibration": Measurement("calibrating", 10, "whole_calibration_rows"),
-    "demo": Measurement("demonstration", 20),
+    "startup": Measurement("startup"),
+    "decoding": Measurement("decoding", peers=("fringes",)),
+    "calibrating": Measurement("calibrating"),
+    "rendering": Measurement("rendering"),
+    "capturing": Measurement("capturing"),
+    "scaling": Measurement("scaling"),
+    "study": Measurement("study"),
+    "calibration": Measurement("calibrating", "whole_calibration_rows"),
+    "demo": Measurement("demonstration"),
 }
 
 INSTALL: Mapping[str, str] = {
@@ -49,11 +46,6 @@ INSTALL: Mapping[str, str] = {
     "fringes": "pip install 'greenough[bench]' and then pip install --no-deps fringes",
 }
 """How to get a peer that is not installed; make bench does."""
-
-
-def weight(sections: Iterable[Section]) -> int:
-    """Steps of progress that `bench` takes for these sections."""
-    return sum(MEASUREMENTS[section].weight for section in sections)
 
 
 def bench(
@@ -70,7 +62,7 @@ def bench(
     sections : iterable of Section
         Rows of the others are not missed.
     advance : callable
-        Called with each section's weight when it is done.
+        Called with 1 after each section.
 
     Raises
     ------
@@ -93,5 +85,5 @@ def bench(
             reason = str(error)
         found = {row.name for row in rows}
         missing |= {name: reason or f"{section} yielded no such row" for name in REQUIRED[section] if name not in found}
-        advance(measurement.weight)
+        advance(1)
     return JudgedTable(tuple(rows), missing)

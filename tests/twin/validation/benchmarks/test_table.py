@@ -47,7 +47,7 @@ def sections(monkeypatch: pytest.MonkeyPatch):
     """Puts made-up modules and required rows in the place of the real ones."""
 
     def put(wanted: dict[str, tuple[str, ...]], modules: dict[str, SimpleNamespace], peers=()) -> None:
-        measured = {name: Measurement(name, 3, peers=peers) for name in wanted}
+        measured = {name: Measurement(name, peers=peers) for name in wanted}
         monkeypatch.setattr(table, "MEASUREMENTS", measured)
         monkeypatch.setattr(table, "import_module", lambda name, package: modules[name.removeprefix(".")])
         for module in (table, commands):
@@ -89,7 +89,7 @@ def test_a_section_that_refuses_keeps_what_it_has_and_the_others_are_run(section
     found = benched(("startup", "study"), done.append)
     assert found.missing == {"b": "the clock has stopped."}
     assert [row.name for row in found.rows] == ["a", "c"]
-    assert done == [3, 3]
+    assert done == [1, 1]
 
 
 def test_a_peer_that_is_not_installed_is_named_with_how_to_install_it(sections, monkeypatch) -> None:
@@ -109,7 +109,7 @@ def test_a_wrong_setting_is_refused_before_anything_is_timed(sections) -> None:
         bench("twin", ["camera.rows=0"], ("startup",), lambda amount: None)
 
 
-def test_every_section_has_a_weight_and_required_rows_of_different_names() -> None:
+def test_every_section_has_a_measurement_and_required_rows_of_different_names() -> None:
     assert list(REQUIRED) == list(get_args(required.Section)) == list(table.MEASUREMENTS)
     names = [name for rows in REQUIRED.values() for name in rows]
     assert len(set(names)) == len(names)

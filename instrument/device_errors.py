@@ -54,7 +54,7 @@ class Fault(DeviceError):
     """The device reports that it is at fault: ``flag`` is its own name for what happened."""
 
     def __init__(self, device: str, command: str, flag: str, meaning: str, remedy: str):
-        super().__init__(device, command, f"fault {flag} ({meaning})", remedy)
+        super().__init__(device, command, f"it reports {flag} ({meaning})", remedy)
         self.args = device, command, flag, meaning, remedy
         self.flag, self.meaning = flag, meaning
 

@@ -200,14 +200,9 @@ def test_the_wire_is_logged_with_direction_and_bytes(caplog: pytest.LogCaptureFi
     caplog.set_level(logging.DEBUG, "greenough.instrument.lightcrafter.wire")
     with link_to_peer(STOPPED) as (link, _):
         link.write(Command.START_STOP, b"\0")
-    assert [
-        record.message.split(" ", 3)[3]
-        for record in caplog.records
-        if " > " in record.message or " < " in record.message
-    ] == [
-        f"> {encode_packet(STOP).hex(' ')}",
-        f"< {STOPPED.hex(' ')}",
-    ]
+    sent, received = (record.message for record in caplog.records if "connected" not in record.message)
+    assert sent == f"{link.device} > {encode_packet(STOP).hex(' ')}"
+    assert received == f"{link.device} < {STOPPED.hex(' ')}"
 
 
 def test_of_100_000_random_and_mutated_replies_only_those_to_the_request_are_taken() -> None:

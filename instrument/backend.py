@@ -33,6 +33,6 @@ def backend() -> Backend:
     if wanted not in VARIANTS:
         raise InputError(
             f"{VARIABLE}: Mitsuba variant {wanted!r} cannot render fringe stacks: use one of {', '.join(VARIANTS)}, or "
-            "leave the variable unset."
+            "leave the variable unset"
         )
     return VARIANTS[wanted]

@@ -71,9 +71,7 @@ def collect(sources: Iterable[EntryPoint]) -> typer.Typer:
         """Calibrate a fringe-projection profilometer, measure with it, and compare with what should be there."""
         if variant is not None:
             if variant not in VARIANTS:
-                raise InputError(
-                    f"--variant {variant!r} cannot render fringe stacks: use one of {', '.join(VARIANTS)}."
-                )
+                raise InputError(f"--variant {variant!r} cannot render fringe stacks: use one of {', '.join(VARIANTS)}")
             os.environ[VARIABLE] = variant  # verbs import what computes only after this
 
     for source in sorted(sources, key=lambda source: source.name):

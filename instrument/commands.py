@@ -113,5 +113,5 @@ def _load_patterns(path: Path) -> "np.ndarray":
     except (OSError, ValueError, EOFError):
         patterns = None
     if not isinstance(patterns, np.ndarray):
-        raise InputError(f"patterns {path} cannot be read; give a NumPy file (.npy) of uint8 (N, rows, cols).")
+        raise InputError(f"patterns {path} cannot be read; give a NumPy file (.npy) of uint8 (N, rows, cols)")
     return patterns

@@ -29,7 +29,7 @@ class DeviceError(InputError):
         self.device, self.command, self.what, self.remedy = device, command, what, remedy
 
     def __str__(self) -> str:
-        return f"{self.device}: {self.command}: {self.what}; {self.remedy}."
+        return f"{self.device}: {self.command}: {self.what}; {self.remedy}"
 
 
 class TimedOut(DeviceError):

@@ -2,7 +2,7 @@
 
 
 class InputError(ValueError):
-    """What a user gave cannot be used: one sentence that says what, where, the allowed range and the remedy.
+    """What a user gave cannot be used: one sentence, without a full stop, of what, where, allowed range and remedy.
 
     The command line prints the sentence and exits with 2. Anything else that is raised is a programming error and
     stays a traceback.

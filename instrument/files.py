@@ -32,11 +32,11 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     path = Path(path)
     folder = path.parent
     if not folder.is_dir():
-        raise InputError(f"cannot write {path}: there is no folder {folder}; create it first.")
+        raise InputError(f"cannot write {path}: there is no folder {folder}; create it first")
     if path.is_dir():
-        raise InputError(f"cannot write {path}: it is a folder; name a file.")
+        raise InputError(f"cannot write {path}: it is a folder; name a file")
     if not os.access(folder, os.W_OK):
-        raise InputError(f"cannot write {path}: the folder {folder} is not writable; choose another.")
+        raise InputError(f"cannot write {path}: the folder {folder} is not writable; choose another")
     temporary = folder / f".{path.stem}.{secrets.token_hex(4)}{path.suffix}"
     try:
         yield temporary

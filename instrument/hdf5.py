@@ -50,24 +50,24 @@ def read(path: str | Path, kind: str, version: int) -> Iterator[h5py.File]:
     """
     path = Path(path)
     if not path.is_file():
-        raise InputError(f"there is no {kind} {path}.")
+        raise InputError(f"there is no {kind} {path}")
     try:
         file = h5py.File(path, "r")
     except OSError as error:
         reason = "is truncated or damaged" if _has_signature(path) else f"is not a {kind}: it is not HDF5"
         if isinstance(error, PermissionError):
             reason = "may not be read by you"
-        raise InputError(f"{path} {reason}.") from None
+        raise InputError(f"{path} {reason}") from None
     with file:
         try:
             found, found_version = file.attrs.get("kind"), file.attrs.get("version")
         except _UNREADABLE:
-            raise InputError(f"{path} is damaged: its header cannot be read.") from None
+            raise InputError(f"{path} is damaged: its header cannot be read") from None
         found = found.decode(errors="replace") if isinstance(found, bytes) else None
         if found != kind:
-            raise InputError(f"{path} is not a {kind}" + (f" but a {found}." if found else "."))
+            raise InputError(f"{path} is not a {kind}" + (f" but a {found}" if found else ""))
         if found_version != version:
-            raise InputError(f"{path} is a {kind} of version {found_version}; this program reads version {version}.")
+            raise InputError(f"{path} is a {kind} of version {found_version}; this program reads version {version}")
         yield file
 
 
@@ -94,9 +94,9 @@ def get(file: h5py.File, name: str) -> np.ndarray:
         values = np.asarray(dataset[()], order="C")
         intact = dataset.attrs["sha256"].decode() == _digest(values, dataset.attrs["units"].decode())
     except _UNREADABLE:
-        raise InputError(f"{file.filename} is damaged: {name} is missing or cannot be read.") from None
+        raise InputError(f"{file.filename} is damaged: {name} is missing or cannot be read") from None
     if not intact:
-        raise InputError(f"{file.filename} is damaged: the checksum of {name} is wrong.")
+        raise InputError(f"{file.filename} is damaged: the checksum of {name} is wrong")
     return values
 
 

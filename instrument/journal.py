@@ -115,7 +115,7 @@ def description_from_json(text: str, where: str) -> RigDescription:
     try:
         return _description.validate_python(json.loads(text))
     except (ValidationError, json.JSONDecodeError):
-        raise InputError(f"{where} is damaged: its description of the rig is not of this version.") from None
+        raise InputError(f"{where} is damaged: its description of the rig is not of this version") from None
 
 
 def events_from_json(text: str, where: str) -> list[Event]:
@@ -123,7 +123,7 @@ def events_from_json(text: str, where: str) -> list[Event]:
     try:
         return _events.validate_python(json.loads(text))
     except (ValidationError, json.JSONDecodeError):
-        raise InputError(f"{where} is damaged: its journal is not of this version.") from None
+        raise InputError(f"{where} is damaged: its journal is not of this version") from None
 
 
 def patterns_sha256(patterns: np.ndarray) -> str:

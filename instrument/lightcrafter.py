@@ -252,7 +252,7 @@ class LightCrafter:
         if len(patterns) > self.capacity:
             raise InputError(
                 f"{len(patterns)} patterns do not fit in the projector's memory, which holds 1 to {self.capacity} of "
-                f"{DEPTH} bits: upload them in batches."
+                f"{DEPTH} bits: upload them in batches"
             )
         self._sequence = replace(self._sequence, count=0)
         if not self._dark:
@@ -282,7 +282,7 @@ class LightCrafter:
         if self._sequence.trigger != Trigger.COMMAND:
             trigger = Trigger(self._sequence.trigger).name.lower()
             raise InputError(
-                f"the projector's patterns follow its {trigger} trigger and cannot be advanced: set it to command."
+                f"the projector's patterns follow its {trigger} trigger and cannot be advanced: set it to command"
             )
         self._check_index(0)
         self._light(Command.ADVANCE, b"")
@@ -357,7 +357,7 @@ class LightCrafter:
     def _check_index(self, index: int) -> None:
         if not 0 <= index < self._sequence.count:
             held = f"0 to {self._sequence.count - 1}" if self._sequence.count else "none"
-            raise InputError(f"the projector has no pattern {index} to show: it holds {held}; upload patterns first.")
+            raise InputError(f"the projector has no pattern {index} to show: it holds {held}; upload patterns first")
 
 
 def in_batches(patterns: np.ndarray) -> list[np.ndarray]:

@@ -34,7 +34,7 @@ def open_rig(
         from .replay import open_recording
 
         if overrides:
-            raise InputError(f"recording {name_or_path} cannot be changed by --set {overrides[0]}; leave --set out.")
+            raise InputError(f"recording {name_or_path} cannot be changed by --set {overrides[0]}; leave --set out")
         return open_recording(name_or_path, exposures_done)
 
     from .rigfile import load_rig_file
@@ -48,9 +48,9 @@ def open_rig(
         if error.name is None or not f"{module_name}.".startswith(f"{error.name}."):
             raise
         raise InputError(
-            f"rig {name_or_path} needs the driver {rig_file.driver}, but there is no module {error.name}; install it."
+            f"rig {name_or_path} needs the driver {rig_file.driver}, but there is no module {error.name}; install it"
         ) from None
     function = getattr(module, function_name, None)
     if function is None:
-        raise InputError(f"rig {name_or_path} needs the driver {rig_file.driver}, but there is no such function.")
+        raise InputError(f"rig {name_or_path} needs the driver {rig_file.driver}, but there is no such function")
     return cast(Rig, function(rig_file, run=run, exposures_done=exposures_done))

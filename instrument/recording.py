@@ -55,7 +55,7 @@ def record(rig: Rig, path: str | Path) -> Rig:
         When ``path`` does not end in ``.h5``, and on entering when it cannot be written.
     """
     if Path(path).suffix != ".h5":
-        raise InputError(f"recording {path}: the name must end in .h5, by which a recording is known from a rig file.")
+        raise InputError(f"recording {path}: the name must end in .h5, by which a recording is known from a rig file")
     return _RecordedRig(rig, Path(path))
 
 

@@ -163,7 +163,7 @@ class Replay:
         shown = ", ".join(f"{z:g} mm and {us:g} us ({held[z, us]} captures)" for z, us in nearest)
         return (
             f"recording {self.path} holds no further capture of {_name(placement)} at {target_mm:g} mm and "
-            f"{target_us:g} us with these {count} patterns; the nearest it has of it: {shown or 'none'}."
+            f"{target_us:g} us with these {count} patterns; the nearest it has of it: {shown or 'none'}"
         )
 
 
@@ -197,7 +197,7 @@ class _ReplayOperator:
         """Raises InputError when nothing was captured of it."""
         if placement not in self._known:
             parts = ", ".join(dict.fromkeys(_name(known) for known in self._known)) or "nothing"
-            raise InputError(f"recording {self._path} holds no capture of {_name(placement)}; it holds {parts}.")
+            raise InputError(f"recording {self._path} holds no capture of {_name(placement)}; it holds {parts}")
         self.placement = placement
 
 

@@ -269,7 +269,7 @@ def describe_validation_error(error: ValidationError, where: str, model: type[Ba
     # A list whose values are wrong is also reported as too short: the values alone say it better.
     parents = {fault["loc"][:depth] for fault in faults for depth in range(len(fault["loc"]))}
     sentences = [_describe_fault(fault, schema) for fault in faults if not fault["loc"] or fault["loc"] not in parents]
-    return f"{where}: {'; '.join(sentences)}."
+    return f"{where}: {'; '.join(sentences)}"
 
 
 def _apply(override: str, document: dict[str, Any], schema: dict[str, Any]) -> None:
@@ -277,21 +277,21 @@ def _apply(override: str, document: dict[str, Any], schema: dict[str, Any]) -> N
     name, equals, text = override.partition("=")
     keys = name.strip().split(".")
     if not equals or not all(keys):
-        raise InputError(f"--set {override}: write section.field=value, for example --set camera.bits=16.")
+        raise InputError(f"--set {override}: write section.field=value, for example --set camera.bits=16")
     try:
         parsed = tomllib.loads(f"value = {text}")
     except tomllib.TOMLDecodeError:
         parsed = {}
     if list(parsed) != ["value"]:
-        raise InputError(f"--set {override}: the value must be written as in TOML, text in quotes.")
+        raise InputError(f"--set {override}: the value must be written as in TOML, text in quotes")
     if keys[0] not in schema["properties"] and (keys[0] not in document or len(keys) == 1):
         known = [*_known_fields(schema), *(section for section, value in document.items() if isinstance(value, dict))]
-        raise InputError(f"--set {override}: there is no field {name.strip()}{_nearest(name.strip(), known)}.")
+        raise InputError(f"--set {override}: there is no field {name.strip()}{_nearest(name.strip(), known)}")
     table = document
     for depth, key in enumerate(keys[:-1], start=1):
         table = table.setdefault(key, {})
         if not isinstance(table, dict):
-            raise InputError(f"--set {override}: {'.'.join(keys[:depth])} is a value and holds no fields.")
+            raise InputError(f"--set {override}: {'.'.join(keys[:depth])} is a value and holds no fields")
     table[keys[-1]] = parsed["value"]
 
 

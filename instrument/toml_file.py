@@ -47,12 +47,12 @@ def read_toml(name_or_path: str | Path, kind: str, builtin: Traversable) -> tupl
         return where, _parse(path.read_text(encoding="utf-8"), where)
     except FileNotFoundError:
         raise InputError(
-            f"no {kind} {path}: give a built-in name ({', '.join(names)}) or the path of a {kind} file."
+            f"no {kind} {path}: give a built-in name ({', '.join(names)}) or the path of a {kind} file"
         ) from None
     except UnicodeDecodeError:
-        raise InputError(f"{where} is not UTF-8 text, so it is not a {kind} file in TOML.") from None
+        raise InputError(f"{where} is not UTF-8 text, so it is not a {kind} file in TOML") from None
     except OSError as error:
-        raise InputError(f"{where} cannot be read: {error.strerror}.") from None
+        raise InputError(f"{where} cannot be read: {error.strerror}") from None
 
 
 def _parse(text: str, where: str) -> dict[str, Any]:
@@ -62,4 +62,4 @@ def _parse(text: str, where: str) -> dict[str, Any]:
         match = re.fullmatch(r"(.*) \(at (?:line (\d+), column \d+|end of document)\)", str(error), re.DOTALL)
         reason = match[1] if match else str(error)
         line = match[2] if match and match[2] else str(text.count("\n") + 1)
-        raise InputError(f"{where} is not valid TOML at line {line}: {reason[:1].lower()}{reason[1:]}.") from None
+        raise InputError(f"{where} is not valid TOML at line {line}: {reason[:1].lower()}{reason[1:]}") from None

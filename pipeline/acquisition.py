@@ -130,7 +130,7 @@ def calibrate_by_methods(
     heights = plane_heights(rig) if with_planes else np.empty(0)
     for out in outs.values():
         if Path(out).is_dir():
-            raise InputError(f"cannot write {out}: it is a folder; name a file.")
+            raise InputError(f"cannot write {out}: it is a folder; name a file")
     unfinished = Unfinished.beside(next(iter(outs.values())))
     unfinished.begin(rig, run)
     acquire = _Acquirer(rig, unfinished, advance)
@@ -262,7 +262,7 @@ def deconvolved(phase_map: PhaseMap, calibration: Calibration) -> PhaseMap:
     if calibration.point_spread is None:
         raise InputError(
             "the calibration holds no point spread to deconvolve with: its postures showed too few spots, or all at "
-            "one height; calibrate with more of them."
+            "one height; calibrate with more of them"
         )
     heights = reconstruct(phase_map, calibration).xyz[..., 2]
     return deconvolve_phasors(phase_map, calibration.point_spread, heights)
@@ -291,7 +291,7 @@ def measure_phase(
     if frames.run == calibration.run and frames.serials.min() < calibration.exposures:
         raise InputError(
             f"exposure {frames.serials.min()} of run {frames.run!r} belongs to the calibration already: measure in a "
-            "run of another name (--run)."
+            "run of another name (--run)"
         )
     return decode(frames, fringes, noise)
 
@@ -308,7 +308,7 @@ def plane_heights(rig: Rig) -> np.ndarray:
     if procedure.planes < MIN_PLANES:
         raise InputError(
             f"a calibration with planes needs at least {MIN_PLANES} of them, and the rig file states "
-            f"{procedure.planes}: raise procedure.planes, or calibrate by a method without planes."
+            f"{procedure.planes}: raise procedure.planes, or calibrate by a method without planes"
         )
     heights = (np.arange(procedure.planes) - (procedure.planes - 1) / 2) * procedure.plane_step_mm
     low, high = rig.stage.limits_mm
@@ -316,7 +316,7 @@ def plane_heights(rig: Rig) -> np.ndarray:
         raise InputError(
             f"{procedure.planes} planes {procedure.plane_step_mm:g} mm apart reach from {heights[0]:g} to "
             f"{heights[-1]:g} mm, the stage only from {low:g} to {high:g} mm: change procedure.planes or "
-            "procedure.plane_step_mm in the rig file."
+            "procedure.plane_step_mm in the rig file"
         )
     return heights
 
@@ -341,7 +341,7 @@ def _check_found(names: Collection[str], missing: Collection[str]) -> None:
     if FLAT in missing or len(names) - len(missing) < MIN_POSTURES:
         raise InputError(
             f"the board was not found in posture {', '.join(missing)}: the flat one and at least {MIN_POSTURES} in all "
-            "are needed; start again with the same command and lay it into the light, the other postures are kept."
+            "are needed; start again with the same command and lay it into the light, the other postures are kept"
         )
 
 

@@ -112,7 +112,7 @@ def measure(
     }
     cloud = PointCloud.from_point_map(points, facts=facts)
     if len(cloud.xyz) == 0:
-        raise InputError(f"no point of {sample} could be measured: check that it lies in the light and in the z range.")
+        raise InputError(f"no point of {sample} could be measured: check that it lies in the light and in the z range")
     write_cloud(out, cloud)
     low, high = cloud.xyz.min(axis=0), cloud.xyz.max(axis=0)
     sigma_um = {
@@ -147,7 +147,7 @@ def compare(
     from .point_cloud import read_cloud, read_mesh
 
     if tolerance_um is not None and not tolerance_um > 0:
-        raise InputError(f"--tolerance-um is {tolerance_um:g}: it must be above 0.")
+        raise InputError(f"--tolerance-um is {tolerance_um:g}: it must be above 0")
     alignments = ALIGNMENTS if align is None else (align,)
     points, surface = read_cloud(cloud), read_mesh(mesh)
     results = []
@@ -180,5 +180,5 @@ def _pose(text: str) -> tuple[float, float, float, float, float, float]:
     try:
         x, y, z, a, b, c = (float(item) for item in text.split(","))
     except ValueError:
-        raise InputError(f"--pose {text}: give six numbers, x,y,z in mm and three angles in degrees.") from None
+        raise InputError(f"--pose {text}: give six numbers, x,y,z in mm and three angles in degrees") from None
     return x, y, z, a, b, c

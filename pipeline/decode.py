@@ -130,14 +130,14 @@ def _grey_values(frames: Frames | np.ndarray, fringes: FringeSet) -> tuple[np.nd
     """Stack as uint8 or float32 with contiguous frames, black level and full scale; InputError if it does not fit."""
     stack = frames.stack if isinstance(frames, Frames) else np.asarray(frames)
     if stack.ndim != 3 or 0 in stack.shape:
-        raise InputError(f"frame stack: its shape {stack.shape} must be (frames, rows, cols) with none of them 0.")
+        raise InputError(f"frame stack: its shape {stack.shape} must be (frames, rows, cols) with none of them 0")
     if len(stack) != fringes.frame_count:
         raise InputError(
             f"frame stack: it holds {len(stack)} frames but the fringe set with steps {fringes.steps} needs "
-            f"{fringes.frame_count}."
+            f"{fringes.frame_count}"
         )
     if stack.dtype not in (np.uint8, np.uint16, np.float32, np.float64):
-        raise InputError(f"frame stack: its type {stack.dtype} must be uint8, uint16, float32 or float64.")
+        raise InputError(f"frame stack: its type {stack.dtype} must be uint8, uint16, float32 or float64")
     if isinstance(frames, Frames):
         black_dn, full_scale_dn = frames.black_level_dn, frames.full_scale_dn
     else:
@@ -150,5 +150,5 @@ def _per_pixel(value: float | np.ndarray, shape: tuple[int, ...]) -> Float:
     if not isinstance(value, np.ndarray):
         return dr.opaque(Float, value)
     if value.shape != shape:
-        raise InputError(f"noise variance: its shape {value.shape} must be that of a frame, {shape}.")
+        raise InputError(f"noise variance: its shape {value.shape} must be that of a frame, {shape}")
     return Float(packed(value.astype(np.float32, copy=False)))

@@ -52,7 +52,7 @@ def decode(
 
     fringes = FringeSet(_numbers(periods, "--periods", float), _numbers(steps, "--steps", int))
     if out.suffix != ".h5":
-        raise InputError(f"phase map {out}: the name must end in .h5.")
+        raise InputError(f"phase map {out}: the name must end in .h5")
     phase_map = decode_stack(read_stack(frames), fringes)
     with hdf5.create(out, KIND, VERSION) as file:
         file.attrs["periods_px"] = fringes.periods
@@ -100,14 +100,14 @@ def read_stack(names: Sequence[str]) -> "np.ndarray":
             try:
                 return np.load(_existing(path), allow_pickle=False)
             except (OSError, ValueError, EOFError):
-                raise InputError(f"{path} is not a whole .npy file of numbers.") from None
+                raise InputError(f"{path} is not a whole .npy file of numbers") from None
     images = [_read_image(_existing(name)) for name in names]
     first = images[0]
     for name, image in zip(names, images, strict=True):
         if image.shape != first.shape or image.dtype != first.dtype:
             raise InputError(
                 f"{name} is {image.shape[1]} x {image.shape[0]} {image.dtype}, but {names[0]} is "
-                f"{first.shape[1]} x {first.shape[0]} {first.dtype}; all frames must be alike."
+                f"{first.shape[1]} x {first.shape[0]} {first.dtype}; all frames must be alike"
             )
     return np.stack(images)
 
@@ -118,9 +118,9 @@ def _read_image(path: Path) -> "np.ndarray":
 
     image = cv2.imdecode(np.fromfile(path, dtype=np.uint8), cv2.IMREAD_UNCHANGED) if path.stat().st_size else None
     if image is None:
-        raise InputError(f"{path} is not an image; give PNG or TIFF files, or one .npy or .h5 file.")
+        raise InputError(f"{path} is not an image; give PNG or TIFF files, or one .npy or .h5 file")
     if image.ndim != 2:
-        raise InputError(f"{path} has {image.shape[2]} channels; give grey images.")
+        raise InputError(f"{path} has {image.shape[2]} channels; give grey images")
     return image
 
 
@@ -135,19 +135,19 @@ def _read_hdf5(path: Path, dataset: str) -> "np.ndarray":
                 file.visititems(lambda name, item: stacks.append(name) if getattr(item, "ndim", 0) == 3 else None)
                 if len(stacks) != 1:
                     found = f"{len(stacks)} stacks ({', '.join(stacks[:3])}, ...)" if stacks else "no stack"
-                    raise InputError(f"{path} holds {found}; name one with three dimensions as {path}:DATASET.")
+                    raise InputError(f"{path} holds {found}; name one with three dimensions as {path}:DATASET")
                 dataset = stacks[0]
             if not isinstance(item := file.get(dataset), h5py.Dataset):
-                raise InputError(f"{path} holds no dataset {dataset}.")
+                raise InputError(f"{path} holds no dataset {dataset}")
             return np.asarray(item[()])
     except (OSError, RuntimeError):
-        raise InputError(f"{path} is damaged, truncated or not HDF5.") from None
+        raise InputError(f"{path} is damaged, truncated or not HDF5") from None
 
 
 def _existing(name: str) -> Path:
     path = Path(name)
     if not path.is_file():
-        raise InputError(f"there is no file {path}.")
+        raise InputError(f"there is no file {path}")
     return path
 
 
@@ -157,5 +157,5 @@ def _numbers(text: str, option: str, kind: type[_Number]) -> tuple[_Number, ...]
     except ValueError:
         whole = "whole " if kind is int else ""
         raise InputError(
-            f"{option} {text}: must be {whole}numbers separated by commas, as in {_listed((8, 4))}."
+            f"{option} {text}: must be {whole}numbers separated by commas, as in {_listed((8, 4))}"
         ) from None

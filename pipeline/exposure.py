@@ -80,7 +80,7 @@ def auto_exposure(rig: Rig) -> float:
         if exposure <= shortest and clipped:
             raise InputError(
                 f"auto-exposure: the image is saturated at the shortest exposure of {shortest:g} µs; "
-                "dim the projector's light."
+                "dim the projector's light"
             )
         if exposure <= shortest and brightest > aim:
             return exposure
@@ -89,14 +89,14 @@ def auto_exposure(rig: Rig) -> float:
                 raise InputError(
                     f"auto-exposure: the image is dark at the longest exposure of {longest:g} µs "
                     f"({brightest:.3g} DN above black, at least {_DARK * full_scale:.3g} needed); "
-                    "check the light and that a part lies in the field."
+                    "check the light and that a part lies in the field"
                 )
             return exposure
         step = 1 / _LARGEST_STEP if clipped else aim / max(brightest, aim / _LARGEST_STEP)
         camera.exposure_us = float(np.clip(exposure * step, shortest, longest))
     raise InputError(
         f"auto-exposure: the light did not settle within {_ATTEMPTS} images; it varies by more than "
-        f"{_TOLERANCE:.0%} from image to image, so steady it."
+        f"{_TOLERANCE:.0%} from image to image, so steady it"
     )
 
 
@@ -124,7 +124,7 @@ def capture_bracketed(rig: Rig, patterns: np.ndarray, ratios: Sequence[float]) -
         if not shortest <= present * ratio <= longest:
             raise InputError(
                 f"bracketing: {ratio:g} times the exposure of {present:g} µs lies outside the camera's limits of "
-                f"{shortest:g} to {longest:g} µs; choose another ratio in procedure.brackets."
+                f"{shortest:g} to {longest:g} µs; choose another ratio in procedure.brackets"
             )
     sequences = []
     try:

@@ -37,14 +37,14 @@ class FringeSet:
         if not self.periods or len(self.periods) != len(self.steps):
             raise InputError(
                 f"fringe set: {len(self.periods)} periods and {len(self.steps)} steps were given; "
-                "give one number of steps for each period, and at least one period."
+                "give one number of steps for each period, and at least one period"
             )
         if any(not math.isfinite(period) or period <= 2 for period in self.periods):
-            raise InputError(f"fringe set: periods {self.periods} must all be finite and longer than 2 columns.")
+            raise InputError(f"fringe set: periods {self.periods} must all be finite and longer than 2 columns")
         if any(coarse <= fine for coarse, fine in pairwise(self.periods)):
-            raise InputError(f"fringe set: periods {self.periods} must decrease; list the coarsest first.")
+            raise InputError(f"fringe set: periods {self.periods} must decrease; list the coarsest first")
         if any(int(step) != step or step < 3 for step in self.steps):
-            raise InputError(f"fringe set: steps {self.steps} must all be whole numbers of at least 3.")
+            raise InputError(f"fringe set: steps {self.steps} must all be whole numbers of at least 3")
         object.__setattr__(self, "steps", tuple(int(step) for step in self.steps))
 
     @property
@@ -82,7 +82,7 @@ class FringeSet:
         if cols > self.periods[0]:
             raise InputError(
                 f"fringe set: the coarsest period of {self.periods[0]:g} columns must span all {cols} columns of the "
-                "projector; make the first period at least that long."
+                "projector; make the first period at least that long"
             )
         column = np.arange(cols)
         lines = [

@@ -131,6 +131,6 @@ def fit_planes(
     """
     zero = fit_phase_height(phases, readings_mm).relation.height(phase_at_zero)
     if not np.isfinite(zero).any():
-        raise InputError("the blank side at stage position 0 shares no pixel with the planes: lay it into the light.")
+        raise InputError("the blank side at stage position 0 shares no pixel with the planes: lay it into the light")
     heights = readings_mm - np.nanmean(zero)
     return fit_phase_height(phases, heights), heights

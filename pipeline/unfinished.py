@@ -75,7 +75,7 @@ class Unfinished:
             try:
                 self.folder.mkdir(exist_ok=True)
             except OSError as error:
-                raise InputError(f"cannot create the folder {self.folder}: {error.strerror}.") from None
+                raise InputError(f"cannot create the folder {self.folder}: {error.strerror}") from None
             with atomic_path(path) as temporary:
                 temporary.write_text(json.dumps(wanted, indent=2))
             return
@@ -83,12 +83,12 @@ class Unfinished:
             found = json.loads(path.read_text())
             differing = [name for name in wanted if found.get(name) != wanted[name]]
         except (ValueError, AttributeError):
-            raise InputError(f"{path} is damaged: delete the folder {self.folder} to start anew.") from None
+            raise InputError(f"{path} is damaged: delete the folder {self.folder} to start anew") from None
         if differing:
             reasons = " and ".join(_MEANING[name] for name in differing)
             raise InputError(
                 f"the unfinished calibration {self.folder} was made with {reasons}: go on with what it was started "
-                "with, or delete the folder to start anew."
+                "with, or delete the folder to start anew"
             )
 
     @property

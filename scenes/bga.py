@@ -83,7 +83,7 @@ def bga(
     for ball, depth in low.items():
         deepest = heights[ball] - radii[ball] / 2
         if not 0 <= depth <= deepest:
-            raise InputError(f"ball {ball} is made {depth:g} mm lower; it can be made 0 to {deepest:.3f} mm lower.")
+            raise InputError(f"ball {ball} is made {depth:g} mm lower; it can be made 0 to {deepest:.3f} mm lower")
         heights[ball] -= depth
 
     present = np.ones(shape, bool)
@@ -128,13 +128,13 @@ def _check(nominal: BallGrid, missing: Collection[tuple[int, int]], low: Mapping
     if highest > smallest + _ROUNDING_MM:
         raise InputError(
             f"the BGA's drawing allows balls {highest:g} mm high of only {smallest:g} mm diameter, which would float; "
-            "lower the height or its tolerance."
+            "lower the height or its tolerance"
         )
     for row, col in [*missing, *low]:
         if not (0 <= row < nominal.rows and 0 <= col < nominal.cols):
             raise InputError(
                 f"ball ({row}, {col}) is not on the BGA; rows are 0 to {nominal.rows - 1} and columns 0 to "
-                f"{nominal.cols - 1}."
+                f"{nominal.cols - 1}"
             )
 
 

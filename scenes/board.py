@@ -98,7 +98,7 @@ def print_board(nominal: SpotBoard, errors: BoardErrors, rng: np.random.Generato
         raise InputError(
             f"board.size_mm is {nominal.size_mm:g} mm, but {nominal.rows} x {nominal.cols} spots at a pitch of "
             f"{nominal.pitch_mm:g} mm need at least {max(nominal.rows, nominal.cols) * nominal.pitch_mm:g} mm; "
-            "enlarge the board or reduce the pitch."
+            "enlarge the board or reduce the pitch"
         )
     drawing = nominal.centres()
     scale, bow, wedge_x, wedge_y = rng.standard_normal(4)
@@ -111,7 +111,7 @@ def print_board(nominal: SpotBoard, errors: BoardErrors, rng: np.random.Generato
     if reach.max() >= nominal.pitch_mm / 2:
         raise InputError(
             f"a spot of the board reaches {reach.max():g} mm from its nominal centre, which must stay below half the "
-            f"pitch, {nominal.pitch_mm / 2:g} mm; reduce the spots' diameters or the print errors."
+            f"pitch, {nominal.pitch_mm / 2:g} mm; reduce the spots' diameters or the print errors"
         )
     return PrintedBoard(
         nominal=nominal,

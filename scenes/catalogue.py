@@ -46,5 +46,5 @@ def specimen(name: str, seed: int) -> Specimen:
         If there is no such sample.
     """
     if name not in _MAKERS:
-        raise InputError(f"unknown sample {name!r}; choose one of {', '.join(NAMES)}.")
+        raise InputError(f"unknown sample {name!r}; choose one of {', '.join(NAMES)}")
     return _MAKERS[name](seed)

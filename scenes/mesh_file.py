@@ -41,11 +41,11 @@ def load_mesh(
     """
     path = Path(path)
     if unit not in UNITS_MM:
-        raise InputError(f"unit of {path} is {unit!r}; choose one of {', '.join(UNITS_MM)}.")
+        raise InputError(f"unit of {path} is {unit!r}; choose one of {', '.join(UNITS_MM)}")
     pose = np.asarray(pose_mm_deg, float)
     if pose.shape != (6,) or not np.isfinite(pose).all():
         raise InputError(
-            f"pose of {path} is {pose_mm_deg}; give six finite numbers: x, y, z in mm, then three angles in degrees."
+            f"pose of {path} is {pose_mm_deg}; give six finite numbers: x, y, z in mm, then three angles in degrees"
         )
     raw, faces = _read(path)
     vertices = Rotation.from_euler("xyz", pose[3:], degrees=True).apply(raw * UNITS_MM[unit]) + pose[:3]
@@ -57,7 +57,7 @@ def load_mesh(
         limit = " x ".join(f"±{half:g}" for half in HALF_VOLUME_MM)
         raise InputError(
             f"{path} read in {unit} measures {box} mm around ({middle}) mm, but must measure at "
-            f"least {MIN_SIZE_MM:g} mm and stay inside {limit} mm; check its unit and pose."
+            f"least {MIN_SIZE_MM:g} mm and stay inside {limit} mm; check its unit and pose"
         )
     return Specimen(path.stem, (Part(vertices, faces, None, "matte"),))
 
@@ -65,28 +65,28 @@ def load_mesh(
 def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (n, 3) float64 and faces (m, 3) int32 as the file has them."""
     if path.suffix.lower() not in SUFFIXES:
-        raise InputError(f"{path} is no mesh file that can be read; give one of {', '.join(SUFFIXES)}.")
+        raise InputError(f"{path} is no mesh file that can be read; give one of {', '.join(SUFFIXES)}")
     if not path.is_file():
-        raise InputError(f"mesh file {path} does not exist.")
+        raise InputError(f"mesh file {path} does not exist")
     try:
         if path.suffix.lower() == ".stl":
             _check_length(path.read_bytes())
         mesh = trimesh.load(path, force="mesh", process=False, skip_materials=True)
     except Exception as error:  # trimesh's readers raise whatever they stumble over
         raise InputError(
-            f"{path} cannot be read as {path.suffix[1:].upper()}: it is damaged or of another format."
+            f"{path} cannot be read as {path.suffix[1:].upper()}: it is damaged or of another format"
         ) from error
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
-        raise InputError(f"{path} has no faces; export it again, as a triangle mesh and not as a point cloud.")
+        raise InputError(f"{path} has no faces; export it again, as a triangle mesh and not as a point cloud")
     faces, vertices = np.asarray(mesh.faces, np.int64), np.asarray(mesh.vertices, float)
     if faces.min() < 0 or faces.max() >= len(vertices):
         wrong = faces[(faces < 0) | (faces >= len(vertices))][0]
         raise InputError(
-            f"{path} has a face with vertex {wrong}, but its vertices are 0 to {len(vertices) - 1}; export it again."
+            f"{path} has a face with vertex {wrong}, but its vertices are 0 to {len(vertices) - 1}; export it again"
         )
     if not np.isfinite(vertices).all():
         bad = int(np.argmin(np.isfinite(vertices).all(axis=-1)))
-        raise InputError(f"vertex {bad} of {path} is not finite; repair or export it again.")
+        raise InputError(f"vertex {bad} of {path} is not finite; repair or export it again")
     return vertices, faces.astype(np.int32)
 
 

@@ -50,11 +50,11 @@ def posed(pose_mm_deg: Sequence[float]) -> np.ndarray:
     Raises InputError for a pose that is not six finite numbers, or shifts the part out of the measuring volume.
     """
     if len(pose_mm_deg) != 6 or not np.isfinite(pose_mm_deg).all():
-        raise InputError(f"the pose {tuple(pose_mm_deg)} must be six finite numbers: x, y, z in mm and three degrees.")
+        raise InputError(f"the pose {tuple(pose_mm_deg)} must be six finite numbers: x, y, z in mm and three degrees")
     if (np.abs(pose_mm_deg[:3]) > REACH_MM).any():
         reach = " x ".join(f"{r:g}" for r in REACH_MM)
         raise InputError(
-            f"the pose {tuple(pose_mm_deg)} shifts the part out of the measuring volume; stay within ±({reach}) mm."
+            f"the pose {tuple(pose_mm_deg)} shifts the part out of the measuring volume; stay within ±({reach}) mm"
         )
     return rigid(Rotation.from_euler("xyz", pose_mm_deg[3:], degrees=True), list(pose_mm_deg[:3]))
 

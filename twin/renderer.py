@@ -18,6 +18,6 @@ _set_before = mi.variant()
 if _set_before is None:
     mi.set_variant(f"{backend()}_ad_mono")
 elif _set_before not in VARIANTS:
-    raise InputError(f"Mitsuba variant {_set_before!r} cannot render fringe stacks: use one of {', '.join(VARIANTS)}.")
+    raise InputError(f"Mitsuba variant {_set_before!r} cannot render fringe stacks: use one of {', '.join(VARIANTS)}")
 
 __all__ = ["dr", "mi"]

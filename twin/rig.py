@@ -256,7 +256,7 @@ class Renderer:
     def _scene(self, projector: object) -> dict[str, Any]:
         mounted = self._workbench.mounted
         if mounted is None:
-            raise InputError("nothing is mounted: let the operator place a part before frames are captured.")
+            raise InputError("nothing is mounted: let the operator place a part before frames are captured")
         return {
             "type": "scene",
             "embree_use_robust_intersections": True,

@@ -170,5 +170,5 @@ def load_twin_file(name_or_path: str | Path, overrides: Sequence[str] = ()) -> t
     """
     rig_file = load_rig_file(name_or_path, overrides)
     if rig_file.driver != "greenough.twin:open_rig":
-        raise InputError(f"rig {name_or_path} is driven by {rig_file.driver}: only a twin has a bench with the truth.")
+        raise InputError(f"rig {name_or_path} is driven by {rig_file.driver}: only a twin has a bench with the truth")
     return rig_file, twin_settings(rig_file)

@@ -72,7 +72,7 @@ class Workbench:
         if placement.part in BOARDS:
             if any(placement.pose_mm_deg):
                 raise InputError(
-                    f"the {placement.part} is held in numbered postures; leave out its pose {placement.pose_mm_deg}."
+                    f"the {placement.part} is held in numbered postures; leave out its pose {placement.pose_mm_deg}"
                 )
             printed = self.printed_board(placement.part)
             if placement.posture is not None:
@@ -88,7 +88,7 @@ class Workbench:
         if placement.part not in NAMES:
             known = ", ".join((*BOARDS, *NAMES))
             raise InputError(
-                f"unknown sample {placement.part!r}; choose one of {known}, or give the path of a mesh file."
+                f"unknown sample {placement.part!r}; choose one of {known}, or give the path of a mesh file"
             )
         part = specimen(placement.part, seed)
         table_from_part = flat(seed, placement.part) @ posed(placement.pose_mm_deg)

@@ -61,7 +61,7 @@ class FakeOperator:
 
     def place(self, placement: Placement) -> None:
         if placement.part not in PARTS:
-            raise InputError(f"no sample {placement.part}; known: {', '.join(PARTS)}.")
+            raise InputError(f"no sample {placement.part}; known: {', '.join(PARTS)}")
         self.placement = placement
 
 

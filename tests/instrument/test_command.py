@@ -30,7 +30,7 @@ def unexpected():
 
 @app.command()
 def refused():
-    raise InputError("the coin is too large; give a smaller one.")
+    raise InputError("the coin is too large; give a smaller one")
 
 @app.command()
 def interrupted():
@@ -71,7 +71,7 @@ def test_bad_input_is_one_sentence_on_standard_error(install, capsys: pytest.Cap
     run(["refused"], [install("refusing_verbs", VERBS)])
     printed = capsys.readouterr()
     assert printed.out == ""
-    assert printed.err == "greenough: the coin is too large; give a smaller one.\n"
+    assert printed.err == "greenough: the coin is too large; give a smaller one\n"
 
 
 def test_an_interruption_is_one_line(install, capsys: pytest.CaptureFixture[str]) -> None:
@@ -211,7 +211,7 @@ def test_the_installed_command_answers() -> None:
     command = Path(sys.executable).parent / "greenough"
     done = subprocess.run([command, "check", "no-such-rig"], capture_output=True, text=True)
     assert done.returncode == 2
-    assert "greenough: no rig no-such-rig: give a built-in name (twin) or the path of a rig file.\n" in done.stderr
+    assert "greenough: no rig no-such-rig: give a built-in name (twin) or the path of a rig file\n" in done.stderr
 
 
 CHOSEN = """

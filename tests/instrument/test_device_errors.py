@@ -40,7 +40,7 @@ def test_an_error_names_device_command_and_remedy_in_one_short_line(error):
     sentence = str(error)
     assert all(part in sentence for part in (*WHERE, REMEDY))
     assert sentence.isprintable()  # no line breaks or control characters from a wire reach the terminal
-    assert sentence.endswith(".")
+    assert not sentence.endswith(".")
     assert len(sentence) < 400
 
 

@@ -70,7 +70,7 @@ def test_other_files_are_refused_with_what_they_are(tmp_path: Path) -> None:
         (tmp_path / "absent.h5", "test file", 3, "there is no test file"),
         (tmp_path, "test file", 3, "there is no test file"),
         (text, "test file", 3, "it is not HDF5"),
-        (foreign, "test file", 3, r"is not a test file\.$"),
+        (foreign, "test file", 3, "is not a test file$"),
         (path, "calibration", 3, "is not a calibration but a test file"),
         (path, "test file", 2, "of version 3; this program reads version 2"),
     ]

@@ -139,7 +139,7 @@ def test_a_wrong_value_is_refused_with_its_range(override: str, expected: str) -
 )
 def test_an_unknown_field_names_the_nearest_known_one(override: str, nearest: str) -> None:
     sentence = refusal(override)
-    assert f"there is no field {override.partition('=')[0]}, the nearest is {nearest}." in sentence
+    assert f"there is no field {override.partition('=')[0]}, the nearest is {nearest}" in sentence
 
 
 @pytest.mark.parametrize("override", ["camera.rows", "=3", "camera.=3", "camera.rows=", "camera.rows=1\nname=2", "a.b"])
@@ -163,7 +163,7 @@ def test_an_override_cannot_reach_into_a_value() -> None:
 def test_malformed_toml_names_its_line(tmp_path: Path, text: str, line: int) -> None:
     path = tmp_path / "bad.toml"
     path.write_text(text)
-    with pytest.raises(InputError, match=rf"bad\.toml is not valid TOML at line {line}: .*\.$"):
+    with pytest.raises(InputError, match=rf"bad\.toml is not valid TOML at line {line}: .*[^.]$"):
         load_rig_file(path)
 
 
@@ -173,13 +173,13 @@ def test_any_damaged_rig_file_loads_or_gives_one_sentence(
 ) -> None:
     path = tmp_path_factory.mktemp("rig") / "damaged.toml"
     path.write_text(TWIN[:position] + character + TWIN[position + 1 :], encoding="utf-8", newline="")
-    sentence = f"{path} is fine."
+    sentence = f"{path} is fine"
     try:
         load_rig_file(path)
     except InputError as error:
         sentence = str(error)
     assert str(path) in sentence
-    assert sentence.endswith(".")
+    assert not sentence.endswith(".")
 
 
 def test_missing_fields_and_unknown_top_level_values_are_all_named(tmp_path: Path) -> None:

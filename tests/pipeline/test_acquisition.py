@@ -133,7 +133,7 @@ def test_a_killed_calibration_without_planes_goes_on_to_the_same_result(stage_fr
 
 def test_postures_that_a_method_refuses_are_shown_again(tmp_path, monkeypatch):
     def refuse(data):
-        raise InputError("these postures say nothing.")
+        raise InputError("these postures say nothing")
 
     out = tmp_path / "cal.h5"
     with monkeypatch.context() as patched, PlainRig() as rig:
@@ -250,7 +250,7 @@ def test_planes_stay_in_their_files(tmp_path, monkeypatch):
         assert isinstance(data.phases, h5py.Dataset)
         assert data.phases.shape == (PROCEDURE.planes, *SHAPE)
         assert np.isfinite(data.phases).any(axis=(1, 2)).all()
-        raise InputError("enough seen.")
+        raise InputError("enough seen")
 
     out = tmp_path / "cal.h5"
     monkeypatch.setitem(METHODS, "paper", CalibrationMethod(look, True, False))

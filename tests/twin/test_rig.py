@@ -32,7 +32,7 @@ def refusal(action: Any, *arguments: Any) -> str:
     with pytest.raises(InputError) as refused:
         action(*arguments)
     sentence = str(refused.value)
-    assert sentence.endswith(".")
+    assert not sentence.endswith(".")
     assert "\n" not in sentence
     return sentence
 

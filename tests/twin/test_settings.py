@@ -15,7 +15,7 @@ def refusal(*overrides: str) -> str:
     with pytest.raises(InputError) as refused:
         settings(*overrides)
     sentence = str(refused.value)
-    assert sentence.endswith(".")
+    assert not sentence.endswith(".")
     assert "\n" not in sentence
     return sentence
 

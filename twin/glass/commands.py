@@ -36,7 +36,7 @@ def optics(
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"cannot make the folder {out}: {error.strerror}; name another with --out.") from None
+        raise InputError(f"cannot make the folder {out}: {error.strerror}; name another with --out") from None
     summaries, files = {}, []
     with progress(len(BUILT_IN), "drawing", quiet=as_json) as advance:
         for name in BUILT_IN:

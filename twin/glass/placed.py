@@ -107,7 +107,7 @@ def errors_from_json(text: str, prescription: Prescription) -> PathErrors:
     if unknown:
         raise InputError(
             f"errors of a lens path: prescription {prescription.name} has no element {unknown[0]!r}; "
-            f"it has {', '.join(map(repr, prescription.elements))}."
+            f"it has {', '.join(map(repr, prescription.elements))}"
         )
     return errors
 

@@ -124,9 +124,9 @@ def load_prescription(name_or_path: str | Path) -> Prescription:
         return Prescription.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
     except OSError:
         raise InputError(
-            f"cannot read prescription {path}; choose one of {', '.join(BUILT_IN)} or give a TOML file."
+            f"cannot read prescription {path}; choose one of {', '.join(BUILT_IN)} or give a TOML file"
         ) from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"prescription {path} is no TOML: {error}.") from None
+        raise InputError(f"prescription {path} is no TOML: {error}") from None
     except ValidationError as error:
         raise InputError(describe_validation_error(error, f"prescription {path}", Prescription)) from None

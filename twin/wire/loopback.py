@@ -16,10 +16,10 @@ def check_loopback(host: str, allow_remote: bool = False) -> None:
         address = ipaddress.ip_address(host)
     except ValueError:
         raise InputError(
-            f"an emulated device cannot listen on {host!r}: give an address, 127.0.0.1 for this machine alone."
+            f"an emulated device cannot listen on {host!r}: give an address, 127.0.0.1 for this machine alone"
         ) from None
     if not (address.is_loopback or allow_remote):
         raise InputError(
             f"an emulated device would be reachable from other machines on {host}: listen on 127.0.0.1, or allow "
-            "remote clients explicitly."
+            "remote clients explicitly"
         )

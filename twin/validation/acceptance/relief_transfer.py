@@ -85,7 +85,7 @@ def relief_transfer(setup: Setup, phase_map: PhaseMap, where: np.ndarray, filter
     """
     spread = setup.calibration.point_spread
     if spread is None:
-        raise InputError("the calibration holds no point spread to predict a resolution by; calibrate with more spots.")
+        raise InputError("the calibration holds no point spread to predict a resolution by; calibrate with more spots")
     v, u = np.nonzero(where)
     radius = float(np.sqrt(np.mean(spread.disc_radius_px(np.stack([u, v], axis=-1), np.zeros(len(u))) ** 2)))
     transfer = spread.transfer((2 * _FREQUENCIES, 2 * _FREQUENCIES), radius)[:_FREQUENCIES, :_FREQUENCIES]

@@ -42,7 +42,7 @@ def on_cluster(address: str) -> Execute:
                 client.wait_for_workers(1, timeout=TIMEOUT_S)
             except TimeoutError:
                 raise InputError(
-                    f"the scheduler at {address} has no workers: start some with dask worker {address} --nthreads 1."
+                    f"the scheduler at {address} has no workers: start some with dask worker {address} --nthreads 1"
                 ) from None
             waiting = {client.submit(execute_in_worker, run, key=run.digest): run for run in runs}
             try:
@@ -53,12 +53,10 @@ def on_cluster(address: str) -> Execute:
                     else:
                         yield run, future.result()
             except (distributed.comm.CommClosedError, distributed.client.FutureCancelledError):
-                raise InputError(
-                    f"the scheduler at {address} was lost: give the same command again to go on."
-                ) from None
+                raise InputError(f"the scheduler at {address} was lost: give the same command again to go on") from None
         if lost:
             names = ", ".join(f"{run.case} of seed {run.seed}" for run in lost)
-            raise InputError(f"workers died of {names}: give them more memory, and the same command again to go on.")
+            raise InputError(f"workers died of {names}: give them more memory, and the same command again to go on")
 
     return execute_all
 
@@ -69,7 +67,7 @@ def dask() -> ModuleType:
         import distributed
     except ModuleNotFoundError:
         raise InputError(
-            "clusters need Dask, which is not installed: pip install 'greenough[cluster]' here and on every worker."
+            "clusters need Dask, which is not installed: pip install 'greenough[cluster]' here and on every worker"
         ) from None
     return distributed
 

@@ -114,7 +114,7 @@ def execute(run: Run) -> Outcome:
     if load_rig_file(run.rig, run.overrides).settings_sha256 != run.settings_sha256:
         raise InputError(
             f"rig {run.rig} has other settings on {platform.node()} than where the study was begun: "
-            "install the same greenough there, and keep rig files under the same path."
+            "install the same greenough there, and keep rig files under the same path"
         )
     measure = experiment(run.kind)
     start = time.perf_counter()
@@ -150,7 +150,7 @@ def kept(folder: Path, run: Run) -> Outcome | None:
     except FileNotFoundError:
         return None
     except (ValueError, KeyError, TypeError, AttributeError):
-        raise InputError(f"{path} is damaged or is not the result of a run: remove it, and it is done again.") from None
+        raise InputError(f"{path} is damaged or is not the result of a run: remove it, and it is done again") from None
 
 
 def _plain(line: Mapping[str, Any]) -> Figures:

@@ -89,7 +89,7 @@ def run_study(
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"cannot write to {folder}: {error.strerror}; name another folder.") from None
+        raise InputError(f"cannot write to {folder}: {error.strerror}; name another folder") from None
     for run, outcome in execute_all(missing(runs, folder)):
         keep(folder, run, outcome)
         advance(1)

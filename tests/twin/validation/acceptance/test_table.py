@@ -117,7 +117,7 @@ def test_the_command_ends_with_1_if_a_row_fails_or_is_missing(command, groups):
 
 def test_a_calibration_of_another_camera_is_bad_input_and_writes_nothing(monkeypatch, tmp_path):
     def refuse(identity, shape):
-        raise InputError("the calibration is of another camera.")
+        raise InputError("the calibration is of another camera")
 
     monkeypatch.setattr(table.Calibration, "load", lambda path: SimpleNamespace(method="bundle", check_fits=refuse))
     out = tmp_path / "table.json"

@@ -37,7 +37,7 @@ def yields(*names: str, value: float = 1.0, refuses: bool = False):
         for name in names:
             yield limited(name, value, "s", None, None, 1.0)
         if refuses:
-            raise InputError("the clock has stopped.")
+            raise InputError("the clock has stopped")
 
     return SimpleNamespace(rows=rows)
 
@@ -87,7 +87,7 @@ def test_a_section_that_refuses_keeps_what_it_has_and_the_others_are_run(section
     sections({"startup": ("a", "b"), "study": ("c",)}, modules)
     done = []
     found = benched(("startup", "study"), done.append)
-    assert found.missing == {"b": "the clock has stopped."}
+    assert found.missing == {"b": "the clock has stopped"}
     assert [row.name for row in found.rows] == ["a", "c"]
     assert done == [1, 1]
 

@@ -129,7 +129,7 @@ def test_a_failed_run_is_kept_counted_and_named(study_file, visits, tmp_path, ca
         assert rows["failed runs"]["holds"] is False
         assert rows["1, a, height_um, rms"]["holds"] is False  # one instrument has none
         assert rows["1, a, height_um, rms"]["value"] < 100
-        assert {each["failure"] for each in printed["failures"]} == {"the board was not found."}
+        assert {each["failure"] for each in printed["failures"]} == {"the board was not found"}
         assert {each["missing"] for each in printed["statistics"] if each["figure"] == "height_um"} == {1}
     assert len(visits("failed")) == 4
 

@@ -54,7 +54,7 @@ def test_wrong_fields_are_named_with_what_is_allowed(tmp_path, text, words):
     with pytest.raises(InputError) as refusal:
         load_study(written(tmp_path, text))
     sentence = str(refusal.value)
-    assert sentence.endswith(".")
+    assert not sentence.endswith(".")
     assert "\n" not in sentence
     assert "mine.toml" in sentence
     assert [word for word in words if word not in sentence] == [], sentence

@@ -156,10 +156,10 @@ class TwinRig:
         sideways = [[changes.path_drift(self._serial) / (optics.column_pitch_um * 1e-3), 0.0]]
         images = self._renderer.radiance(patterns, mirrors_passed(optics, motion) + sideways)
         moved = pixels_passed(optics, motion)
+        ambient = dr.opaque(mi.Float, self._settings.light.ambient * white)  # one kernel for all exposure times
         brightness = np.pi * white * changes.flicker(serials)
         electrons = [
-            displaced(image, self.camera.shape, shift) * dr.opaque(mi.Float, float(factor))
-            + self._settings.light.ambient * white
+            displaced(image, self.camera.shape, shift) * dr.opaque(mi.Float, float(factor)) + ambient
             for image, shift, factor in zip(images, moved, brightness, strict=True)
         ]
         stack = expose(electrons, self._sensor, self._settings.seed, self._run, self._serial)

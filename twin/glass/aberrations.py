@@ -58,7 +58,7 @@ def pencils(
     x, y = (Double(packed(np.repeat(points[:, axis], shape[1]))) for axis in (0, 1))
     stop = path.prescription.stop_radius * np.broadcast_to(disk, (*shape, 2)).reshape(-1, 2)
     stop_x, stop_y = (Double(packed(stop[:, axis])) for axis in (0, 1))
-    start = aim_exactly(path, image_point(path, x, y), stop_x, stop_y, wavelength_um, False)
+    start = aim_exactly(path, image_point(path.image, x, y), stop_x, stop_y, wavelength_um, False)
     rays, passed = trace(path, start, wavelength_um, outwards=False, rims=sharp_rims(path))
     at_zero = np.stack([np.array(value) for value in at_height(rays, 0.0)], axis=-1)
     slope = np.stack([np.array(rays.l / rays.n), np.array(rays.m / rays.n)], axis=-1)

@@ -5,6 +5,7 @@ blink from pixel to pixel. Newton's iteration finds each ray exactly; inside the
 such rays once for each path as it was built, comes within a micrometre.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations_with_replacement
 from typing import Any
@@ -12,10 +13,12 @@ from typing import Any
 import numpy as np
 from scipy.stats import qmc
 
+from greenough.instrument.packets import packed
+
 from ..renderer import dr
 from .paraxial import DESIGN_WAVELENGTH_UM, Pupil, paraxial
 from .placed import PlacedPath
-from .trace import Double, Rays, image_point, rays_through, trace
+from .trace import Double, Rays, follow, image_point, rays_through, way
 
 DEGREE = 3
 VARIABLES = 4  # field x, y and stop x, y
@@ -39,8 +42,9 @@ def aim_exactly(
     between = range(stop + 1) if outwards else range(stop, len(path.surfaces))
     pupil = _pupil(path, outwards)
     x, y = stop_x * pupil.magnification, stop_y * pupil.magnification
+    crossings = way(path, type(x), outwards, between)
     for _ in range(ITERATIONS):
-        met, _ = trace(path, rays_through(*point, x, y, pupil.z, outwards), wavelength_um, outwards, between)
+        met, _ = follow(crossings, rays_through(*point, x, y, pupil.z, outwards), wavelength_um, outwards)
         x -= (met.x - stop_x) * pupil.magnification
         y -= (met.y - stop_y) * pupil.magnification
         dr.eval(x, y)
@@ -55,7 +59,7 @@ class Aim:
     pupil: Pupil
     stop_radius: float
     half_field: tuple[float, float]
-    coefficients: np.ndarray  # (monomials, 3): pupil x and y in mm beyond the paraxial ones, relative weight
+    coefficients: Sequence[Sequence[Any]]  # (monomials, 3): pupil x, y in mm beyond the paraxial ones, relative weight
 
     def __call__(self, point: tuple[Any, Any, Any], disk_x: Any, disk_y: Any) -> tuple[Any, Any, Any]:
         """Aim from ``point`` through a point of the unit disk, which is the stop.
@@ -66,7 +70,7 @@ class Aim:
         """
         x, y, monomials = self.terms(point, disk_x, disk_y)
         sums = [x, y, 0.0]
-        for monomial, row in zip(monomials, self.coefficients.tolist(), strict=True):
+        for monomial, row in zip(monomials, self.coefficients, strict=True):
             sums = [dr.fma(value, monomial, total) for value, total in zip(row, sums, strict=True)]
         return sums[0], sums[1], sums[2]
 
@@ -87,21 +91,21 @@ def fit_aim(path: PlacedPath, outwards: bool) -> Aim:
     scale = abs(paraxial(path.prescription).magnification) if outwards else 1.0
     half_field = MARGIN * image.width / 2 / scale, MARGIN * image.height / 2 / scale
     unfitted = Aim(
-        outwards, _pupil(path, outwards), path.prescription.stop_radius, half_field, np.zeros((len(MONOMIALS), 3))
+        outwards, _pupil(path, outwards), path.prescription.stop_radius, half_field, [(0.0, 0.0, 0.0)] * len(MONOMIALS)
     )
     u = 2 * qmc.Sobol(VARIABLES + 1, rng=np.random.default_rng(1)).random(SAMPLES).T - 1
-    x, y, depth = Double(half_field[0] * u[0]), Double(half_field[1] * u[1]), Double(DEPTH * u[4])
+    x, y, depth = (_double(most * u[k]) for k, most in ((0, half_field[0]), (1, half_field[1]), (4, DEPTH)))
     radius, angle = np.sqrt((u[2] + 1) / 2), np.pi * u[3]
     disk = np.stack([radius * np.cos(angle), radius * np.sin(angle)])
-    point = (x, y, depth) if outwards else image_point(path, x, y)
-    middle = (Double(0), Double(0), Double(0)) if outwards else image_point(path, Double(0), Double(0))
+    point = (x, y, depth) if outwards else image_point(path.image, x, y)
+    middle = (Double(0), Double(0), Double(0)) if outwards else image_point(path.image, Double(0), Double(0))
 
-    ideal_x, ideal_y, monomials = unfitted.terms(point, Double(disk[0]), Double(disk[1]))
+    ideal_x, ideal_y, monomials = unfitted.terms(point, _double(disk[0]), _double(disk[1]))
     heads = _pupil_points(path, point, disk, outwards)
     weight = _weights(path, point, disk, outwards) / _weights(path, middle, np.zeros((2, 1)), outwards)
     values = np.stack([np.broadcast_to(np.array(monomial), SAMPLES) for monomial in monomials], axis=1)
     target = np.stack([heads[0] - np.array(ideal_x), heads[1] - np.array(ideal_y), weight], axis=1)
-    return replace(unfitted, coefficients=np.linalg.lstsq(values, target, rcond=None)[0])
+    return replace(unfitted, coefficients=np.linalg.lstsq(values, target, rcond=None)[0].tolist())
 
 
 def _pupil(path: PlacedPath, outwards: bool) -> Pupil:
@@ -117,8 +121,12 @@ def _pupil_points(path: PlacedPath, point: tuple[Any, Any, Any], disk: np.ndarra
 
 
 def _exact(path: PlacedPath, point: tuple[Any, Any, Any], disk: np.ndarray, outwards: bool) -> Rays:
-    radius = path.prescription.stop_radius
-    return aim_exactly(path, point, Double(disk[0] * radius), Double(disk[1] * radius), DESIGN_WAVELENGTH_UM, outwards)
+    stop_x, stop_y = (_double(axis * path.prescription.stop_radius) for axis in disk)
+    return aim_exactly(path, point, stop_x, stop_y, DESIGN_WAVELENGTH_UM, outwards)
+
+
+def _double(values: np.ndarray) -> Any:
+    return Double(packed(values, aligned=True))
 
 
 def _weights(path: PlacedPath, point: tuple[Any, Any, Any], disk: np.ndarray, outwards: bool) -> np.ndarray:

@@ -81,7 +81,7 @@ def assemble(
 def _central_ray(path: PlacedPath) -> tuple[np.ndarray, np.ndarray]:
     """Point and direction of the ray through the middles of image and stop, where it leaves the path."""
     start = aim_exactly(
-        path, image_point(path, Double(0), Double(0)), Double(0), Double(0), DESIGN_WAVELENGTH_UM, False
+        path, image_point(path.image, Double(0), Double(0)), Double(0), Double(0), DESIGN_WAVELENGTH_UM, False
     )
     rays, _ = trace(path, start, DESIGN_WAVELENGTH_UM, outwards=False)
     values = np.array([np.array(value)[0] for value in rays])

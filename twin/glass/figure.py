@@ -190,8 +190,8 @@ def _drawn_rays(path: PlacedPath, field_x: float) -> list[tuple[np.ndarray, np.n
         rays, _ = trace(path, rays, DESIGN_WAVELENGTH_UM, outwards=True, surfaces=[k])
         z.append(np.array(rays.z))
         x.append(np.array(rays.x))
-    _, _, z_image = image_point(path, *land(path, rays))
-    x.append(np.array(land(path, rays)[0]))
+    _, _, z_image = image_point(path.image, *land(path.image, rays))
+    x.append(np.array(land(path.image, rays)[0]))
     z.append(np.array(z_image))
     return list(zip(np.transpose(z), np.transpose(x), strict=True))
 

@@ -53,4 +53,4 @@ def mount(prescription: str, errors: str, outwards: bool, nodes: int) -> Mountin
     lens = load_prescription(prescription)
     path = place(lens, errors_from_json(errors, lens) if errors else None)
     summary = paraxial(lens)
-    return Mounting(sample_path(path, outwards, nodes), summary.entrance.z, summary.magnification)
+    return Mounting(sample_path(path, mi.Float, outwards, nodes), summary.entrance.z, summary.magnification)

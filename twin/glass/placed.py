@@ -50,10 +50,7 @@ class PlacedImage:
     centre: Triple
     along_x: Triple  # unit vectors in the plane
     along_y: Triple
-
-    @property
-    def normal(self) -> Triple:
-        return _triple(np.cross(self.along_x, self.along_y))
+    normal: Triple
 
 
 @dataclass(frozen=True)
@@ -85,7 +82,7 @@ def place(prescription: Prescription, errors: PathErrors | None = None) -> Place
         for k, (surface, glasses) in enumerate(zip(prescription.surfaces, prescription.glasses, strict=True))
     )
     turn = _turn(errors.image_tilt)
-    image = PlacedImage((0.0, 0.0, float(vertices[-1])), _triple(turn[:, 0]), _triple(turn[:, 1]))
+    image = PlacedImage((0.0, 0.0, float(vertices[-1])), *(_triple(axis) for axis in turn.T))
     return PlacedPath(prescription, surfaces, image)
 
 

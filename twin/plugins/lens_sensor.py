@@ -64,6 +64,7 @@ class LensSensor(mi.Sensor):
         world_from_local = props.get("to_world", mi.ScalarTransform4f())
         self.origin = world_from_local @ mi.ScalarPoint3f(0, 0, 0)
         self.to_world = mi.AffineTransform4f(np.array(world_from_local.matrix, np.float32))
+        dr.make_opaque(self.to_world)
         self.response = None
         self.diffraction = (self.focus / self.focal, na, wavelength) if wavelength > 0 and na > 0 else None
         if self.diffraction is not None:

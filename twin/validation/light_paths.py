@@ -134,7 +134,7 @@ def _array(*columns: Any) -> np.ndarray:
 
 def _glass_outwards(built: AssembledPath) -> Callable:
     """(points, stop, wavelength) to mm along columns and rows of what is seen, direction to the pupil, weight."""
-    sampled, summary = sample_path(built.path, True, PUPIL_NODES), paraxial(built.path.prescription)
+    sampled, summary = sample_path(built.path, Double, True, PUPIL_NODES), paraxial(built.path.prescription)
     path_from_twin = np.linalg.inv(built.twin_from_path)
 
     def outwards(points: np.ndarray, stop: np.ndarray, um: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -153,7 +153,7 @@ def _glass_outwards(built: AssembledPath) -> Callable:
 
 def _glass_inwards(built: AssembledPath) -> Callable:
     """(mm along columns and rows, stop, wavelength) to origin, direction and weight of the ray to the specimen."""
-    sampled, summary = sample_path(built.path, False, PUPIL_NODES), paraxial(built.path.prescription)
+    sampled, summary = sample_path(built.path, Double, False, PUPIL_NODES), paraxial(built.path.prescription)
 
     def inwards(at: np.ndarray, stop: np.ndarray, um: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         scale = summary.magnification * np.array([1.0, -1.0])

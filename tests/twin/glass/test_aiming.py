@@ -18,7 +18,7 @@ def sampled(path, outwards, n, seed):
     x, y, z = rng.uniform(-0.5, 0.5, (3, n)) * [[image.width / scale], [image.height / scale], [3.0]]
     radius, angle = np.sqrt(rng.uniform(size=n)), rng.uniform(0, 2 * np.pi, n)
     disk = radius * np.cos(angle), radius * np.sin(angle)
-    point = (Double(x), Double(y), Double(z)) if outwards else image_point(path, Double(x), Double(y))
+    point = (Double(x), Double(y), Double(z)) if outwards else image_point(path.image, Double(x), Double(y))
     return point, np.array(disk)
 
 
@@ -68,13 +68,13 @@ def test_weights_of_the_camera_add_up_to_the_solid_angle_of_the_stop():
     disk_x, disk_y = (np.outer(radius, c).ravel() for c in (np.cos(angle[::10]), np.sin(angle[::10])))
 
     def area_of_the_edge(x, y):
-        point = image_point(path, Double(np.full(720, x)), Double(np.full(720, y)))
+        point = image_point(path.image, Double(np.full(720, x)), Double(np.full(720, y)))
         rays = aim_exactly(path, point, Double(edge[0]), Double(edge[1]), 0.525, outwards=False)
         cosines = np.array([np.array(c) for c in rays[3:]])
         return area(np.array([path.image.along_x, path.image.along_y]) @ cosines)
 
     def mean_weight(x, y):
-        point = image_point(path, Double(np.full(disk_x.size, x)), Double(np.full(disk_x.size, y)))
+        point = image_point(path.image, Double(np.full(disk_x.size, x)), Double(np.full(disk_x.size, y)))
         return np.mean(np.array(aim(point, Double(disk_x), Double(disk_y))[2]))
 
     middle = area_of_the_edge(0.0, 0.0) / mean_weight(0.0, 0.0)

@@ -37,7 +37,7 @@ def as_rays(points, directions, real=Double):
 
 def traced(path, points, directions, wavelength_um, real=Double):
     rays, passed = trace(path, as_rays(points, directions, real), wavelength_um, outwards=True)
-    met = np.stack([np.array(c, float) for c in land(path, rays)], axis=1)
+    met = np.stack([np.array(c, float) for c in land(path.image, rays)], axis=1)
     return met, np.stack([np.array(c, float) for c in rays[3:]], axis=1), np.array(passed)
 
 
@@ -67,7 +67,7 @@ def test_designed_paths_reproduce_the_stored_rays(designed):
     columns = {name: rows[name].astype(float) for name in rows.dtype.names[1:]}
     start = Rays(*(Double(columns[name]) for name in ("x", "y", "z", "l", "m", "n")))
     rays, _ = trace(designed, start, Double(columns["wavelength_nm"] * 1e-3), outwards=True)
-    for name, ours in zip(("image_x", "image_y"), land(designed, rays), strict=True):
+    for name, ours in zip(("image_x", "image_y"), land(designed.image, rays), strict=True):
         assert np.array(ours) == pytest.approx(columns[name], abs=1e-11)
     for name, ours in zip(("image_l", "image_m", "image_n"), rays[3:], strict=True):
         assert np.array(ours) == pytest.approx(columns[name], abs=1e-13)

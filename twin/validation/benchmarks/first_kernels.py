@@ -11,7 +11,7 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from typing import Literal, cast
+from typing import Any, Literal, cast
 
 Step = Literal["decode", "capture"]
 
@@ -28,6 +28,8 @@ class FirstUse:
         How long LLVM, or the driver of a GPU, compiled for the first use.
     compiled, cached : int
         Kernels that were compiled for the first use, and that an earlier process had left on disk.
+    compiled_for_another : int
+        Kernels that were then compiled for the same step of another instrument, from its opening on.
     """
 
     first_s: float
@@ -35,6 +37,7 @@ class FirstUse:
     compile_s: float
     compiled: int
     cached: int
+    compiled_for_another: int
 
 
 def first_uses(step: Step, rig_name: str, overrides: Sequence[str]) -> tuple[FirstUse, FirstUse]:
@@ -54,19 +57,18 @@ def first_uses(step: Step, rig_name: str, overrides: Sequence[str]) -> tuple[Fir
 
 def use(step: Step, rig_name: str, overrides: Sequence[str]) -> FirstUse:
     """Use a step twice in this process, which has not used it before."""
-    work = {"decode": _decode, "capture": _capture}[step](rig_name, overrides)
-    from greenough.pipeline.jit import dr
-
-    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
-        dr.kernel_history_clear()
-        first_s = _seconds(work)
-        kernels = [entry for entry in dr.kernel_history() if entry["type"] == dr.KernelType.JIT]
+    prepare = {"decode": _decode, "capture": _capture}[step]
+    work = prepare(rig_name, overrides)
+    first_s, kernels = _kernels(work)
+    second_s, _ = _kernels(work)
+    _, more = _kernels(lambda: prepare(rig_name, [*overrides, *_another(rig_name, overrides)])())
     return FirstUse(
         first_s=first_s,
-        second_s=_seconds(work),
+        second_s=second_s,
         compile_s=1e-3 * sum(kernel["backend_time"] for kernel in kernels),
-        compiled=sum(not kernel["cache_hit"] for kernel in kernels),
+        compiled=_compiled(kernels),
         cached=sum(bool(kernel["cache_disk"]) for kernel in kernels),
+        compiled_for_another=_compiled(more),
     )
 
 
@@ -95,10 +97,28 @@ def _capture(rig_name: str, overrides: Sequence[str]) -> Callable[[], object]:
     return lambda: rig.capture(patterns)
 
 
-def _seconds(work: Callable[[], object]) -> float:
-    start = time.perf_counter()
-    work()
-    return time.perf_counter() - start
+def _another(rig_name: str, overrides: Sequence[str]) -> list[str]:
+    """Overrides that make another instrument of the same kind."""
+    from ...settings import load_twin_file
+
+    _, settings = load_twin_file(rig_name, overrides)
+    return [f"twin.seed={settings.seed + 1}"]
+
+
+def _kernels(work: Callable[[], object]) -> tuple[float, list[dict[str, Any]]]:
+    """Wall time of ``work``, and Dr.Jit's notes about the kernels that it launched."""
+    from greenough.pipeline.jit import dr
+
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        start = time.perf_counter()
+        work()
+        seconds = time.perf_counter() - start
+        return seconds, [entry for entry in dr.kernel_history() if entry["type"] == dr.KernelType.JIT]
+
+
+def _compiled(kernels: list[dict[str, Any]]) -> int:
+    return sum(not kernel["cache_hit"] for kernel in kernels)
 
 
 if __name__ == "__main__":

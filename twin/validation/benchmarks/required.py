@@ -20,6 +20,7 @@ STARTUP = (
             f"first {step}, kernels on disk",
             f"second {step} of a process",
             f"kernels of a first {step} compiled anew in spite of the disk",
+            f"kernels of a {step} compiled for another instrument",
         )
     ),
 )

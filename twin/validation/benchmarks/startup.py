@@ -36,10 +36,12 @@ def kernel_rows(step: Step, rig_name: str, overrides: Sequence[str]) -> list[Row
     empty, filled = first_uses(step, rig_name, overrides)
     first = f"first {step}, no kernel on disk"
     again = f"kernels of a first {step} compiled anew in spite of the disk"
+    another = f"kernels of a {step} compiled for another instrument"
     return [
         Row(first, empty.first_s, "s"),
         Row(f"of which compiling, {step}", empty.compile_s, "s", first, empty.compile_s / empty.first_s),
         Row(f"first {step}, kernels on disk", filled.first_s, "s", first, filled.first_s / empty.first_s),
         Row(f"second {step} of a process", filled.second_s, "s", first, filled.second_s / empty.first_s),
         limited(again, filled.compiled, "kernels", None, None, 0),
+        limited(another, empty.compiled_for_another, "kernels", None, None, 0),
     ]

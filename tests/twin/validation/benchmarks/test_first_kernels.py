@@ -11,3 +11,4 @@ def test_a_kernel_is_compiled_by_the_first_process_and_found_on_disk_by_the_next
     assert filled.compiled == 0
     assert filled.cached == empty.compiled
     assert filled.compile_s == 0
+    assert empty.compiled_for_another == 0

@@ -85,6 +85,7 @@ class ZaberDevice:
         self._silent = self._stalls = self._hangs = self._stopped_by_hand = False
         self._spoil: Callable[[bytes], list[bytes]] | None = None
         self._late: list[bytes] = []
+        self._alerts: list[bytes] = []
         self._switch_on(self.model.start)
 
     @property
@@ -101,10 +102,10 @@ class ZaberDevice:
     def answer(self, line: bytes) -> list[bytes]:
         """What the device sends when it has received ``line``: lines with their ends; none where it keeps silent."""
         with self._lock:
-            alerts = self._settle()
+            self._settle()
             command = parse_command(line)
             if command is None or command.device not in (0, self.model.address):
-                return alerts
+                return self._taken_alerts()
             self.messages += 1
             for fault in self._due.pop(self.messages, ()):
                 fault()
@@ -116,15 +117,15 @@ class ZaberDevice:
             elif self._spoil is not None:
                 spoil, self._spoil = self._spoil, None
                 reply = [spoiled for sent in reply for spoiled in spoil(sent)]
-            position = self._motion.at(self._clock())[0]
+            alerts, position = self._taken_alerts(), self._motion.at(self._clock())[0]
         self._tell(position)
         return [*alerts, *late, *reply]
 
     def tick(self) -> list[bytes]:
         """What the device sends of itself, now."""
         with self._lock:
-            alerts = self._settle()
-            position = self._motion.at(self._clock())[0]
+            self._settle()
+            alerts, position = self._taken_alerts(), self._motion.at(self._clock())[0]
         self._tell(position)
         return alerts
 
@@ -138,6 +139,7 @@ class ZaberDevice:
     def stall(self) -> None:
         """Stop half-way in this motion or the next, with the flag FS."""
         with self._lock:
+            self._settle()
             self._stalls = True
             if self._moves():
                 self._halt()
@@ -332,6 +334,7 @@ class ZaberDevice:
         self._motion = braking(*self._motion.at(now), self._acceleration(), now)
 
     def _halt(self) -> None:
+        self._settle()
         now = self._clock()
         self._motion = Motion(now, self._motion.at(now)[0])
         self._at_end = None
@@ -342,10 +345,10 @@ class ZaberDevice:
             self._flags |= {"NI"}
         self._at_end = None
 
-    def _settle(self) -> list[bytes]:
-        """What the end of a motion brings about; the alert of it, if hosts want alerts."""
+    def _settle(self) -> None:
+        """Do what the end of a motion brings about, if it has ended; alert hosts to it if they want alerts."""
         if not self._was_moving or self._moves():
-            return []
+            return
         self._was_moving = False
         if self._stalls:
             self._stalls = False
@@ -353,9 +356,13 @@ class ZaberDevice:
         elif self._at_end is not None:
             self._at_end()
         self._at_end = None
-        if not self._settings["comm.alert"] or self._silent:
-            return []
-        return [encode_line(f"!{self.model.address:02d} 1 IDLE {self._flag()}", bool(self._settings["comm.checksum"]))]
+        if self._settings["comm.alert"] and not self._silent:
+            content = f"!{self.model.address:02d} 1 IDLE {self._flag()}"
+            self._alerts = [encode_line(content, bool(self._settings["comm.checksum"]))]
+
+    def _taken_alerts(self) -> list[bytes]:
+        alerts, self._alerts = self._alerts, []
+        return alerts
 
     def _settle_instantly(self) -> None:
         if self.model.instant and not self._hangs:

@@ -19,7 +19,7 @@ from greenough.pipeline.calibration import Method
 from greenough.pipeline.decode import PhaseMap
 
 from ..rig import open as open_twin
-from .pitch import second_board_errors
+from .pitch import sample_sd, second_board_errors
 from .planes import blocks_of, half_measured, mean, moved_by_motion, percentile, plane_terms, rms, vertical_error
 from .setup import Setup
 
@@ -149,7 +149,7 @@ def compare_calibrations(
         replace(
             figures_of(method, k, flat, tilted, rig.procedure, exposures_us),
             pitch_mean_um=1e3 * mean(pitches[k]),
-            pitch_sd_um=1e3 * float(np.std(pitches[k])),
+            pitch_sd_um=1e3 * sample_sd(pitches[k]),
         )
         for k, method in enumerate(METHODS)
     ]

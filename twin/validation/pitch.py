@@ -81,9 +81,9 @@ def board_claims(setup: Setup, part: str, prefix: str, centres: np.ndarray, nois
             predicted=mean(printed),
         )  # fmt: skip
         yield setup.claim(
-            f"{prefix}_sd{suffix}", part, _sd(measured), "mm", n,
+            f"{prefix}_sd{suffix}", part, sample_sd(measured), "mm", n,
             "standard deviation of single distances, the board's print errors included; predicted from these",
-            paper=0.0011, limit=0.0011, filter=FILTER, predicted=_sd(printed),
+            paper=0.0011, limit=0.0011, filter=FILTER, predicted=sample_sd(printed),
             # Errors of sd e that are independent of the print's change its standard deviation by e / sqrt(n). The
             # calibration's own errors, which are smooth over the field, are left out.
             predicted_sd=noise / np.sqrt(max(n, 1)),
@@ -93,7 +93,7 @@ def board_claims(setup: Setup, part: str, prefix: str, centres: np.ndarray, nois
             "mean difference from the true distances of this board", filter=FILTER, limit=mean_limit,
         )  # fmt: skip
         yield setup.claim(
-            f"{prefix}_error_sd{suffix}", part, 1e3 * _sd(error), "um", n,
+            f"{prefix}_error_sd{suffix}", part, 1e3 * sample_sd(error), "um", n,
             "standard deviation of the differences from the true distances of this board", filter=FILTER,
             limit=sd_limit,
         )  # fmt: skip
@@ -125,7 +125,7 @@ def paper_pairs(board: SpotBoard) -> np.ndarray:
     return _neighbours(index[top : top + PAPER_ROWS, left : left + PAPER_COLS])
 
 
-def _sd(values: np.ndarray) -> float:
+def sample_sd(values: np.ndarray) -> float:
     """Standard deviation of a sample; NaN of less than two."""
     return float(np.std(values, ddof=1)) if len(values) > 1 else np.nan
 

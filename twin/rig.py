@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self, cast
 
@@ -22,7 +23,9 @@ from greenough.instrument.rigfile import RigFile
 
 from .bench import Bench
 from .camera import build_sensor, displaced, expose
+from .dmd import MARGIN, band_limited
 from .instability import Instability
+from .light_sums import LARGEST_REST, RIM, as_sums
 from .plugins import FringeIntegrator
 from .plugins.lens_projector import LensProjector
 from .renderer import dr, mi
@@ -154,7 +157,8 @@ class TwinRig:
         self._workbench.drift = changes.table_drift(self._serial)
         motion = changes.vibration(serials) + self._workbench.drift
         sideways = [[changes.path_drift(self._serial) / (optics.column_pitch_um * 1e-3), 0.0]]
-        images = self._renderer.radiance(patterns, mirrors_passed(optics, motion) + sideways)
+        drifted = mirrors_passed(optics, self._workbench.drift[None]) + sideways
+        images = self._renderer.radiance(patterns, mirrors_passed(optics, motion) + sideways, drifted[0])
         moved = pixels_passed(optics, motion)
         ambient = dr.opaque(mi.Float, self._settings.light.ambient * white)  # one kernel for all exposure times
         brightness = np.pi * white * changes.flicker(serials)
@@ -199,11 +203,30 @@ class TwinRig:
         pass
 
 
+@dataclass(frozen=True, eq=False)
+class Together:
+    """Pictures of white and of the procedure's fringes that were rendered in one pass.
+
+    Parameters
+    ----------
+    place : object
+        What was mounted, and where.
+    light : (1 + N, cells)
+        The patterns along the columns.
+    images : list of 1 + N arrays (rows * cols,)
+    """
+
+    place: object
+    light: np.ndarray
+    images: list[mi.Float]
+
+
 class Renderer:
     """Renders what the workbench holds, and keeps what exposures of one scene share.
 
     That is the scene; the interreflections of the last patterns, which do not change with the shifts of a micrometre
-    that the patterns may have; and the last result.
+    that the patterns may have; and the last result. Tracing light takes far longer than adding up patterns: together
+    with white, which sets the exposure, the fringes that are captured next are rendered and kept.
     """
 
     def __init__(self, rig_file: RigFile, settings: TwinSettings, workbench: Workbench) -> None:
@@ -217,11 +240,18 @@ class Renderer:
         self._loaded: tuple[object, mi.Scene] | None = None
         self._interreflections: tuple[object, list[mi.Float]] | None = None
         self._kept: tuple[object, list[mi.Float]] | None = None
+        fringes = _fringe_lines(rig_file.procedure.contract, self._projector_shape[1])
+        self._lines = np.concatenate([np.full_like(fringes[:1], 255), fringes])
+        self._together: Together | None = None
 
-    def radiance(self, patterns: np.ndarray, shift: np.ndarray | None = None) -> list[mi.Float]:
+    def radiance(
+        self, patterns: np.ndarray, shift: np.ndarray | None = None, drifted: np.ndarray | None = None
+    ) -> list[mi.Float]:
         """Radiance of each pattern, N arrays of (rows * cols,), the patterns moved by ``shift`` (N, 2).
 
-        Patterns of one grey value are not moved: only the rim of the light would.
+        Patterns of one grey value are not moved: only the rim of the light would. Where ``drifted`` (2,) says how far
+        all patterns have moved, white ones are rendered together with the fringes of the rig's procedure, moved so; as
+        long as nothing else is mounted, and nothing moved in between, fringes are then sums of these, see `light_sums`.
         """
         check_patterns(patterns, self._projector_shape)
         shift = np.zeros((len(patterns), 2)) if shift is None else shift
@@ -236,6 +266,9 @@ class Renderer:
             if self._loaded is None or self._loaded[0] != place:
                 self._loaded = (place, mi.load_dict(self._scene(self._projector)))
             scene = self._loaded[1]
+            if drifted is not None and (images := self._sums(scene, place, patterns, shift, drifted)):
+                self._kept = (state, images)
+                return images
             self._projector.set_patterns(patterns, shift)
             integrator, sensor = cast(FringeIntegrator, scene.integrator()), scene.sensors()[0]
             if self._interreflections is None or self._interreflections[0] != shown:
@@ -246,6 +279,42 @@ class Renderer:
             self._kept = (state, integrator.render_channels(scene, sensor, interreflections=more))
             dr.sync_thread()
         return self._kept[1]
+
+    def _sums(
+        self, scene: mi.Scene, place: object, patterns: np.ndarray, shift: np.ndarray, drifted: np.ndarray
+    ) -> list[mi.Float] | None:
+        """What `radiance` returns, from pictures that were rendered together; None where they do not make it up."""
+        known = {line.tobytes(): k for k, line in enumerate(self._lines)}
+        own = np.array([known.get(line.tobytes(), -1) for line in patterns[:, 0]])
+        if (own < 0).any() or (patterns != patterns[:, :1]).any():
+            return None
+        if self._together is None or self._together.place != place:
+            if own.any():
+                return None  # nobody has set an exposure here
+            self._together = self._interreflections = None  # freed before the next are made
+            every = np.broadcast_to(self._lines[:, None], (len(self._lines), *self._projector_shape))
+            moved = np.where(np.arange(len(every))[:, None] > 0, drifted, 0.0)
+            self._projector.set_patterns(every, moved)
+            images = cast(FringeIntegrator, scene.integrator()).render_channels(scene, scene.sensors()[0])
+            self._together = Together(place, self._along_columns(every, moved), images)
+            dr.sync_thread()
+        sums = as_sums(self._along_columns(patterns, shift), own, self._together.light)
+        if sums.rest > LARGEST_REST:
+            return None
+        images = []
+        for terms, weights in zip(sums.terms, sums.weights, strict=True):
+            # One by one, so that one kernel serves whatever the terms are.
+            of = [dr.opaque(mi.Float, float(w)) * self._together.images[k] for k, w in zip(terms, weights, strict=True)]
+            images.append(of[0] + of[1] + of[2])
+            dr.eval(images[-1])
+        return images
+
+    def _along_columns(self, patterns: np.ndarray, shift: np.ndarray) -> np.ndarray:
+        """Light of patterns that do not vary along the rows, (N, cells), without the rims at either end."""
+        projector = self._projector
+        table = band_limited(patterns, projector.mirrors, projector.na, projector.wavelength, shift)
+        rim = (MARGIN + RIM) * table.cells[0]
+        return table.values[0, rim:-rim].T.astype(np.float64)
 
     def scene_dict(self, patterns: np.ndarray) -> dict[str, Any]:
         """The scene with its own sensor and projector as dictionaries."""
@@ -305,8 +374,13 @@ def scene_dict(rig: TwinRig, sample: str | Placement, patterns: np.ndarray | Non
 def fringe_patterns(rig: TwinRig) -> np.ndarray:
     """The fringe set of the rig's procedure by eq. 1, (N, rows, cols) uint8."""
     rows, cols = rig.projector.shape
+    return np.repeat(_fringe_lines(rig.procedure, cols)[:, None], rows, axis=1)
+
+
+def _fringe_lines(procedure: Procedure, cols: int) -> np.ndarray:
+    """One row of each of the patterns, (N, cols) uint8."""
     column = np.arange(cols)
-    sets = zip(rig.procedure.periods_px, rig.procedure.steps, strict=True)
+    sets = zip(procedure.periods_px, procedure.steps, strict=True)
     lines = [127.5 * (1 + np.cos(2 * np.pi * (column / p + n / steps))) for p, steps in sets for n in range(steps)]
     # Exact halves must round alike in every period, whatever the cosine's last digit says.
-    return np.repeat(np.rint(np.round(lines, 9)).astype(np.uint8)[:, None], rows, axis=1)
+    return np.rint(np.round(lines, 9)).astype(np.uint8)

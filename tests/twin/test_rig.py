@@ -15,6 +15,7 @@ from greenough.instrument import open_rig
 from greenough.instrument.contract import Placement
 from greenough.instrument.errors import InputError
 from greenough.instrument.rigfile import builtin_rigs
+from greenough.twin.light_sums import LARGEST_REST, RIM
 from greenough.twin.plugins import FringeIntegrator
 from greenough.twin.rig import BLANKING_US, TwinRig, fringe_patterns
 from greenough.twin.settings import TwinSettings
@@ -201,26 +202,75 @@ def test_opening_by_name_gives_the_same_rig_without_the_bench(small):
     assert_array_equal(rig.capture(patterns).stack, ours.capture(patterns).stack)
 
 
-def test_pictures_that_set_the_exposure_are_rendered_once_and_fringes_anew(small, monkeypatch):
-    """A uniform pattern looks the same wherever the specimen's place against it has drifted; fringes do not."""
-    drifting = ("twin.stability.table_drift_um=5", "twin.stability.path_drift_um=5")
-    rig, _ = small(*drifting)
-    rig.operator.place(Placement("plane"))
-    rendered = []
+@pytest.fixture
+def rendered(monkeypatch) -> list[int]:
+    """Grows by 1 whenever light is traced for a stack."""
+    calls: list[int] = []
     original = FringeIntegrator.render_channels
 
     def counted(self, *arguments, **named):
-        rendered.append(1)
+        calls.append(1)
         return original(self, *arguments, **named)
 
     monkeypatch.setattr(FringeIntegrator, "render_channels", counted)
-    white, fringes = np.full((1, *rig.projector.shape), 255, np.uint8), fringe_patterns(rig)[-1:]
-    for patterns, count in ((white, 1), (fringes, 3)):
+    return calls
+
+
+@pytest.mark.parametrize(("vibration_um", "fringes_rendered"), [(0.1, 0), (10, 3)])
+def test_pictures_that_set_the_exposure_are_rendered_once_and_fringes_where_they_moved_far(
+    small, rendered, vibration_um, fringes_rendered
+):
+    """A uniform pattern looks the same wherever the specimen's place against it is; fringes do not."""
+    rig, _ = small(f"twin.stability.vibration_um={vibration_um}")
+    rig.operator.place(Placement("plane"))
+    for patterns, count in ((white(rig), 1), (fringe_patterns(rig), fringes_rendered)):
         rendered.clear()
         for exposure_us in (20_000, 40_000, 80_000):
             rig.camera.exposure_us = exposure_us
             rig.capture(patterns)
         assert len(rendered) == count
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("part", ["bga", "plane"])
+def test_fringes_captured_after_white_are_as_if_rendered_alone(small, rendered, part, seed):
+    """No pixel errs by a larger share of its light under white than `light_sums` allows, and float's rounding.
+
+    Pixels are nine columns wide here: those that see columns within RIM of either end are left out, but what the rim
+    of the light there diffracts elsewhere, a millionth, is not.
+    """
+    unsteady = (f"twin.seed={seed}", "twin.stability.vibration_um=0.1", "twin.stability.table_drift_um=0.5")
+    (exposed, bench), (alone, _) = (small(*unsteady, noiseless=True) for _ in range(2))
+    frames = []
+    for rig in (exposed, alone):
+        rig.operator.place(Placement(part))
+        rig.capture(white(rig) if rig is exposed else white(rig) - 1)  # another grey value sets no exposure
+        rendered.clear()
+        frames.append(rig.capture(fringe_patterns(rig)))
+        assert len(rendered) == (rig is alone)
+    scale = np.pi * 75 * frames[0].exposure_us * 1e-3 / exposed.camera.noise.electrons_per_dn
+    allowed = scale * (LARGEST_REST * exposed.irradiance(white(exposed))[0] + 1e-5)
+    error = np.abs(frames[0].stack - frames[1].stack)
+    column = bench.truth().column
+    from_end = np.minimum(column, exposed.projector.shape[1] - 1 - column)
+    inside = from_end > RIM + 10
+    assert inside.mean() > 0.3
+    assert (error <= allowed)[:, inside].all()
+    assert error[:, inside].max() > 0  # they were not rendered alike
+
+
+@pytest.mark.parametrize("change", ["height", "part", "placed again"])
+def test_fringes_rendered_with_white_elsewhere_are_not_shown(small, change):
+    rig, fresh = (small(noiseless=True)[0] for _ in range(2))
+    rig.operator.place(Placement("bga"))
+    for either in (rig, fresh):
+        either.capture(white(either)) if either is rig else either.operator.place(Placement("bga"))
+        if change == "height":
+            either.stage.move_to_mm(0.3)
+        else:
+            either.operator.place(Placement("coin" if change == "part" else "bga", pose_mm_deg=(0.2, 0, 0, 0, 0, 0)))
+    patterns = fringe_patterns(rig)[-2:]
+    assert_array_equal(rig.capture(patterns).stack, fresh.capture(patterns).stack)
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ from greenough.twin.validation.benchmarks.calibrating import (
 from greenough.twin.validation.observations import build, observe
 
 COARSE = [
+    "twin.optics.glass=false",
     "camera.rows=180",
     "camera.cols=240",
     "twin.optics.camera_focal_px=4253.0625",

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from greenough.instrument.progress import progress
-from greenough.instrument.verbs import JsonOption, RigArgument, SetOption, show
+from greenough.instrument.verbs import JsonOption, SetOption, show
 
 from .benchmarks.required import REQUIRED, Section
 
@@ -78,7 +78,7 @@ def study(
 
 @app.command()
 def accept(
-    rig: RigArgument,
+    rig: Annotated[str, typer.Argument(metavar="RIG", help="A twin.")],
     calibration: Annotated[
         Path | None,
         typer.Option("--calibration", metavar="CAL.h5", help="Of this rig. [default: calibrated first, beside FILE]"),

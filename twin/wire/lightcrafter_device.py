@@ -9,7 +9,7 @@ import struct
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -69,7 +69,7 @@ class Shown:
     """
 
     index: int
-    patterns: np.ndarray
+    patterns: np.ndarray = field(compare=False)
     upload: int
     sequence: Sequence
     led_current: tuple[int, int, int]
@@ -81,8 +81,8 @@ class LightCrafterDevice:
     Parameters
     ----------
     on_display : callable of Shown or None, optional
-        Called with what is shown after every command that changes it; None is the dark, or a picture that is no
-        pattern. A sequence that runs by time changes without a call.
+        Called with what is shown by every command that changes it, before it is answered; None is the dark, or a
+        picture that is no pattern. A sequence that runs by time changes without a call.
     clock : callable
         Time in s, by which automatic sequences run.
     """

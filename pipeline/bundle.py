@@ -19,7 +19,6 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from greenough.instrument.contract import SpotBoard
-from greenough.instrument.errors import InputError
 
 from .bundle_data import BundleData
 from .bundle_rows import BLOCKS, CENTRES, SPOT_PHASES, Rows, plane_rows, posture_rows
@@ -30,8 +29,6 @@ from .imaging_path import ImagingPath
 from .instrument_model import InstrumentModel
 from .legendre_field import DepthField
 from .projector_model import ProjectorModel, fit_row, projector_picture
-
-MIN_PLANES = 3
 
 # Degrees of the residual fields, fixed and with depth. The camera's pose moves its picture and leans its rays.
 _CAMERA_DEGREES = (1, 5), (1, 5)
@@ -117,13 +114,8 @@ def solve_bundle(
     Raises
     ------
     InputError
-        If there are some planes but too few, or too few phases at spots.
+        If there are too few phases at spots.
     """
-    if 0 < len(data.planes) < MIN_PLANES:
-        raise InputError(
-            f"the bundle cannot be fitted to {len(data.planes)} blank planes: at least {MIN_PLANES} are needed; raise "
-            "procedure.planes in the rig file"
-        )
     shape = BoardShape.of(board)
     state = _start(data, start, shape, np.asarray(heights_mm, dtype=float))
     problem = _Problem.of(data, state, shape, start, path_drift_mm2)

@@ -32,7 +32,7 @@ def calibrate_by_bundle(data: CalibrationData) -> Calibration:
     Raises
     ------
     InputError
-        If there are too few phases at spots or too few planes, or no pixel can be calibrated.
+        If a plane has too few phases, there are too few at spots, or no pixel can be calibrated.
     """
     blocks = tuple(block_averages(phase) for phase in chain([data.phase_at_zero], data.phases))
     _check(blocks)

@@ -86,6 +86,8 @@ class ZaberLink:
         """
         command = text or "status"
         deadline = time.monotonic() + self._timeout_s
+        self._lines.clear()  # what began before the question is no answer to it
+        self._received.clear()
         self._message_id = (self._message_id + 1) % _IDS
         sent = encode_command(text, self._device, axis, self._message_id)
         self._wire_log.debug("> %s", sent.decode("ascii").rstrip())
@@ -109,8 +111,11 @@ class ZaberLink:
 
     def close(self) -> None:
         """Close the port; may be called again."""
+        held = getattr(self._port, "_socket", None)  # which pyserial forgets where the other side has left first
         with contextlib.suppress(OSError, termios.error):
             self._port.close()
+        if held is not None:
+            held.close()
 
     def _next(self, kind: str, axis: int, command: str, deadline: float) -> Message:
         """The next message of ``kind`` that belongs to the last command."""

@@ -57,6 +57,7 @@ class _Port:
         except BlockingIOError:
             pass
         except OSError:
+            self.waiting.clear()
             return self.lossy
         if self.lossy and len(self.waiting) > _WAITING:
             self.waiting.clear()
@@ -137,12 +138,16 @@ class LineServer:
     def _serve(self) -> None:
         try:
             while True:
-                ready = [key.fd for key, _ in self._selector.select(_TICK_S if self._device.moves else None)]
+                events = self._selector.select(_TICK_S if self._device.moves else None)
+                ready = [key.fd for key, event in events if event & selectors.EVENT_READ]
                 if self._woken.fileno() in ready:
                     return
                 unasked = b"".join(self._device.tick())
                 for port in list(self._ports.values()) if unasked else ():
                     self._send(port, unasked)
+                for key, event in events:
+                    if event & selectors.EVENT_WRITE and key.fd in self._ports:
+                        self._send(self._ports[key.fd], b"")
                 for number in ready:
                     if number == self._listener.fileno():
                         self._accept()
@@ -182,12 +187,19 @@ class LineServer:
             return
         for line in port.lines.feed(received):
             answer = b"".join(self._device.answer(line))
-            if port.number in self._ports:
+            if answer and port.number in self._ports:
                 self._send(port, answer)
 
     def _send(self, port: _Port, data: bytes) -> None:
-        if data and not self._closing and not port.send(data):
+        """Send ``data`` and what waits before it; ask to be woken for the rest."""
+        if self._closing:
+            return
+        if not port.send(data):
             self._drop(port)
+            return
+        awaited = selectors.EVENT_READ | (selectors.EVENT_WRITE if port.waiting else 0)
+        if self._selector.get_key(port.number).events != awaited:
+            self._selector.modify(port.number, awaited)
 
     def _drop(self, port: _Port) -> None:
         if port.number in self._clients:

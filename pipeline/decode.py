@@ -92,8 +92,10 @@ def decode(
     phasors = [estimate_phasor(grey[part], variance, per_dn) for part in fringes.slices]
     phases, phase_variances = [each.phase for each in phasors], [each.variance for each in phasors]
     unwrapped = unwrap(phases, phase_variances, fringes)
-    brightest = as_captured[0]  # of bytes where there are some: they are compared faster than what is made of them
-    for values in as_captured[1:]:
+    # Bytes are compared faster than what is made of them, but CUDA has no instruction for bytes.
+    compared = as_captured if dr.backend_v(Float) == dr.JitBackend.LLVM else grey
+    brightest = compared[0]
+    for values in compared[1:]:
         brightest = dr.maximum(brightest, values)
     valid: Bool = (
         unwrapped.resolved

@@ -31,8 +31,11 @@ PIXEL_FORMATS = {"Mono8": 0x0108_0001, "Mono10": 0x0110_0003, "Mono12": 0x0110_0
 
 CONTINUOUS, OFF = 0, 0
 NO_PACKET_SOCKET = 1
-REPLY_TIMEOUT_S = 3.0
-"""How long Aravis waits for a GigE Vision camera's answer to one command, with the commands it repeats: 6 of 0.5 s."""
+REPLY_TIMEOUT_S = 6.0
+"""How long Aravis waits for a GigE Vision camera's answer to one command.
+
+It asks 6 times for 0.5 s each, and may have to wait as long for the answer to its own heartbeat before.
+"""
 
 _DEVICE_ERRORS = (
     "wrong feature",

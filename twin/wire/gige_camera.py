@@ -73,10 +73,11 @@ class FrameFault:
     kind : str
         ``"late"``: it leaves ``delay_s`` after it should; ``"lost"``: it never does, though it is counted;
         ``"sent_twice"``: with the same block id; ``"untriggered"``: another one of the same picture follows that nobody
-        asked for; ``"packets_lost"``: ``share`` of its packets do not arrive at first, and never do if ``for_good``.
+        asked for; ``"number_skipped"``: its block id is one too high, as after a frame that was lost on the way;
+        ``"packets_lost"``: ``share`` of its packets do not arrive at first, and never do if ``for_good``.
     """
 
-    kind: Literal["late", "lost", "sent_twice", "untriggered", "packets_lost"]
+    kind: Literal["late", "lost", "sent_twice", "untriggered", "number_skipped", "packets_lost"]
     delay_s: float = 0.0
     share: float = 0.0
     for_good: bool = False
@@ -280,7 +281,7 @@ class GigeCamera:
                 self._registers.set_u64(reg.TIMESTAMP_VALUE, time.monotonic_ns())
             case reg.PACKET_SIZE if value & reg.FIRE_TEST_PACKET:
                 self._registers.set_u32(reg.PACKET_SIZE, value & ~reg.FIRE_TEST_PACKET)
-                self._stream.sendto(bytes((value & 0xFFFF) - _IP_UDP_BYTES), self._destination())
+                self._send_packet(bytes((value & 0xFFFF) - _IP_UDP_BYTES), self._destination())
             case reg.ACQUISITION:
                 self._streaming = bool(value)
                 if value:
@@ -335,6 +336,8 @@ class GigeCamera:
         kind = fault.kind if fault else None
         if fault and kind == "late":
             self._closing.wait(fault.delay_s)
+        if kind == "number_skipped":
+            self._blocks += 1
         frame = self._frame(exposure, pixels)
         everything = range(len(frame.packets))
         if kind == "lost" or self.silent or not self._streaming:
@@ -370,15 +373,17 @@ class GigeCamera:
         return _SentFrame(self._blocks, tuple(packets), self._destination())
 
     def _send(self, frame: _SentFrame, numbers: Iterable[int]) -> None:
-        if frame.destination[1] == 0:
-            return
         for count, number in enumerate(numbers, start=1):
             packet = frame.packets[number]
             if number in frame.unavailable:
                 packet = struct.pack(">H", _UNAVAILABLE) + packet[2:_GVSP_BYTES]
-            self._stream.sendto(packet, frame.destination)
+            self._send_packet(packet, frame.destination)
             if count % _BURST == 0:
                 time.sleep(_PAUSE_S)
+
+    def _send_packet(self, packet: bytes, destination: tuple[str, int]) -> None:
+        if destination[0] != "0.0.0.0" and destination[1]:  # where a client has said where
+            self._stream.sendto(packet, destination)
 
 
 def _records(body: bytes, layout: str) -> list[tuple]:

@@ -1,0 +1,273 @@
+"""GenicamCamera through Aravis against the emulated camera, over UDP on loopback."""
+
+import multiprocessing
+import os
+import random
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import emulated_gige
+import numpy as np
+import pytest
+from emulated_gige import MODEL, SHAPE, emulated, free_address, picture, section
+
+from greenough.instrument import aravis, genicam_camera
+from greenough.instrument.device_errors import ConnectionLost, DeviceError, Fault, TimedOut
+from greenough.instrument.errors import InputError
+from greenough.instrument.genicam_camera import GenicamCamera, GenicamSettings
+from greenough.twin.wire.gige_camera import FrameFault, GigeCamera, Trigger
+
+PATIENT_S = 60.0  # for frames that come: however busy the machine is
+SHORT_S = 0.8  # for frames that do not
+
+
+@pytest.fixture(autouse=True)
+def _installed():
+    emulated_gige.need_aravis()
+
+
+def connect(camera: GigeCamera, timeout_s: float = PATIENT_S, **changes) -> GenicamCamera:
+    first = {name: changes.pop(name) for name in ("first_row", "first_col", "gain_db") if name in changes}
+    return GenicamCamera(section(**changes), GenicamSettings(address=camera.host, frame_timeout_s=timeout_s, **first))
+
+
+def test_frames_come_bit_by_bit_and_in_the_order_of_their_triggers():
+    with emulated() as wire, connect(wire) as camera:
+        camera.arm()
+        for number in range(20):
+            shot = camera.trigger_and_grab()
+            assert np.array_equal(shot.image, picture(Trigger(number, 0, 0)))
+            assert shot.serial == number
+        assert wire.triggers == 20
+
+
+def test_frames_of_a_whole_sensor_come_bit_by_bit():
+    shape = (960, 1280)
+    with (
+        emulated(replace(MODEL, shape=shape), lambda trigger: picture(trigger, shape)) as wire,
+        connect(wire, rows=960, cols=1280) as camera,
+    ):
+        camera.arm()
+        for number in range(3):
+            assert np.array_equal(camera.trigger_and_grab().image, picture(Trigger(number, 0, 0), shape))
+
+
+def test_a_region_is_that_part_of_the_picture():
+    with emulated() as wire, connect(wire, rows=16, cols=20, first_row=5, first_col=11) as camera:
+        camera.arm()
+        assert np.array_equal(camera.trigger_and_grab().image, picture(Trigger(0, 0, 0))[5:21, 11:31])
+
+
+@pytest.mark.parametrize(("pixel_format", "full_scale_dn"), [("Mono16", 65535), ("Mono12", 4095)])
+def test_deeper_pixels_come_as_whole_grey_values(pixel_format, full_scale_dn):
+    def deep(trigger):
+        return picture(trigger, dtype=np.uint16) >> (4 if pixel_format == "Mono12" else 0)
+
+    with emulated(replace(MODEL, pixel_format=pixel_format), deep) as wire, connect(wire, bits=16) as camera:
+        camera.arm()
+        assert np.array_equal(camera.trigger_and_grab().image, deep(Trigger(0, 0, 0)))
+        assert camera.full_scale_dn == full_scale_dn
+        assert camera.noise.electrons_per_dn == pytest.approx(6500 / (full_scale_dn - 4))
+
+
+def test_exposure_and_gain_reach_the_source_of_the_pictures_as_they_were_set():
+    seen = []
+
+    def source(trigger):
+        seen.append(trigger)
+        return picture(trigger)
+
+    exposures = [100.0, 8333.25, 1e6, 123456.789]
+    with emulated(source=source) as wire, connect(wire, gain_db=6.5) as camera:
+        camera.arm()
+        for value in exposures:
+            camera.exposure_us = value
+            assert camera.exposure_us == value
+            camera.trigger_and_grab()
+        assert camera.gain_db == 6.5
+    assert [(trigger.exposure_us, trigger.gain_db) for trigger in seen] == [(value, 6.5) for value in exposures]
+
+
+def test_the_camera_says_who_it_is_and_what_it_can():
+    with emulated() as wire, connect(wire, exposure_min_us=1.0) as camera:
+        identity = camera.identity
+        assert (identity.vendor, identity.model) == ("Greenough", "Emulated & <tested>")
+        assert (identity.serial, identity.firmware) == ("SN-42", "1.2.3")
+        assert camera.exposure_limits_us == (20.0, 1e6)  # of the camera and of the rig file
+        assert camera.shape == SHAPE
+
+
+def test_an_exposure_out_of_range_is_refused_before_anything_is_sent():
+    with emulated() as wire, connect(wire) as camera:
+        wire.silent = True  # nothing would come back
+        with pytest.raises(InputError, match="100 to 1e\\+06 us"):
+            camera.exposure_us = 2e6
+        wire.silent = False
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"bits": 16}, r"offers the pixel formats Mono8, and camera.bits = 16 asks for Mono16 or Mono12 or Mono10"),
+        ({"gain_db": 20.0}, r"gain of 20 dB is outside its limits, 0 to 12 dB"),
+        ({"rows": 49}, r"set the region to 64 x 49 from column 0, row 0: rejected"),
+        ({"first_col": 1}, r"set the region to 64 x 48 from column 1, row 0: rejected"),
+        ({"exposure_min_us": 3e6, "exposure_max_us": 4e6}, r"takes exposure times from 20 to 2e\+06 us"),
+    ],
+)
+def test_what_the_camera_cannot_do_is_one_sentence(changes, sentence):
+    with emulated() as wire, pytest.raises(InputError, match=sentence):
+        connect(wire, **changes)
+
+
+def test_lost_packets_are_asked_for_again():
+    with emulated() as wire, connect(wire) as camera:
+        wire.frame_faults.update({n: FrameFault("packets_lost", share=share) for n, share in enumerate((0.1, 0.6, 1))})
+        camera.arm()
+        for number in range(4):
+            assert np.array_equal(camera.trigger_and_grab().image, picture(Trigger(number, 0, 0)))
+
+
+@pytest.mark.parametrize("kind", ["sent_twice", "untriggered"])
+def test_frames_that_nobody_asked_for_are_passed_over(kind):
+    with emulated() as wire, connect(wire) as camera:
+        wire.frame_faults.update({number: FrameFault(kind) for number in range(0, 8, 2)})
+        camera.arm()
+        for number in range(8):
+            assert np.array_equal(camera.trigger_and_grab().image, picture(Trigger(number, 0, 0)))
+
+
+@pytest.mark.parametrize(
+    ("fault", "error", "sentence"),
+    [
+        (FrameFault("lost"), TimedOut, "the frame did not come within"),
+        (FrameFault("late", delay_s=2 * SHORT_S), TimedOut, "the frame did not come within"),
+        (FrameFault("packets_lost", share=0.3, for_good=True), Fault, "buffer status"),
+    ],
+)
+def test_a_frame_that_does_not_come_whole_and_in_time_is_an_error_and_never_the_next_frame(fault, error, sentence):
+    with emulated() as wire, connect(wire, SHORT_S) as camera:
+        wire.frame_faults[0] = fault
+        camera.arm()
+        started_s = time.monotonic()
+        with pytest.raises(error, match=f"camera at {wire.host}: software trigger for frame 0: .*{sentence}"):
+            camera.trigger_and_grab()
+        assert time.monotonic() - started_s < camera.exposure_us / 1e6 + SHORT_S + aravis.REPLY_TIMEOUT_S
+        with pytest.raises(RuntimeError, match="arm"):
+            camera.trigger_and_grab()
+    with emulated(source=lambda trigger: picture(trigger)) as wire, connect(wire) as camera:
+        wire.frame_faults[0] = FrameFault("late", delay_s=SHORT_S)
+        camera.arm()
+        camera._aravis("arv_camera_software_trigger", camera._camera)  # as a trigger that was given up
+        camera.arm()
+        assert np.array_equal(camera.trigger_and_grab().image, picture(Trigger(1, 0, 0)))
+
+
+def test_a_frame_that_is_missing_in_the_count_is_an_error():
+    with emulated() as wire, connect(wire) as camera:
+        wire.frame_faults[2] = FrameFault("number_skipped")
+        camera.arm()
+        camera.trigger_and_grab()
+        camera.trigger_and_grab()
+        with pytest.raises(Fault, match=r"frames lost.*block 4 came after block 2"):
+            camera.trigger_and_grab()
+        camera.arm()
+        assert np.array_equal(camera.trigger_and_grab().image, picture(Trigger(3, 0, 0)))
+
+
+def test_whatever_happens_to_frames_no_other_is_ever_taken_for_them():
+    """Faults at random triggers; the seed is the same, when which of them fails is up to the machine."""
+    rng = random.Random(3)
+    kinds = ("late", "lost", "sent_twice", "untriggered", "number_skipped", "packets_lost")
+    whole = 0
+    with emulated() as wire, connect(wire, timeout_s=0.15) as camera:
+        for number in range(60):
+            if rng.random() < 0.3:
+                wire.frame_faults[number] = FrameFault(rng.choice(kinds), 0.2 * rng.random(), 0.3, rng.random() < 0.5)
+        armed = False
+        for _ in range(60):
+            if not armed:
+                camera.arm()
+                armed = True
+            asked = wire.triggers
+            try:
+                shot = camera.trigger_and_grab()
+            except DeviceError:
+                armed = False
+                continue
+            assert np.array_equal(shot.image, picture(Trigger(asked, 0, 0)))
+            whole += 1
+    assert whole > 0
+
+
+def test_silence_is_an_error_within_the_stated_time():
+    with emulated() as wire, connect(wire, SHORT_S) as camera:
+        camera.arm()
+        wire.silent = True
+        started_s = time.monotonic()
+        with pytest.raises(TimedOut, match=f"camera at {wire.host}: software trigger for frame 0: an answer did not"):
+            camera.trigger_and_grab()
+        assert time.monotonic() - started_s < 2 * aravis.REPLY_TIMEOUT_S
+        wire.silent = False
+
+
+def test_a_camera_whose_process_is_killed_is_an_error_and_can_be_closed():
+    context = multiprocessing.get_context("spawn")
+    ready = context.Event()
+    address = free_address()
+    process = context.Process(target=emulated_gige.serve, args=(address, ready), daemon=True)
+    process.start()
+    try:
+        assert ready.wait(PATIENT_S)
+        camera = GenicamCamera(section(), GenicamSettings(address=address, frame_timeout_s=PATIENT_S))
+        camera.arm()
+        assert np.array_equal(camera.trigger_and_grab().image, picture(Trigger(0, 0, 0)))
+        process.kill()
+        process.join()
+        with pytest.raises((TimedOut, ConnectionLost), match=f"camera at {address}: software trigger for frame 1"):
+            camera.trigger_and_grab()
+        camera.close()
+    finally:
+        process.kill()
+        process.join()
+        process.close()
+
+
+def test_a_camera_that_is_not_there_is_one_sentence():
+    with pytest.raises(ConnectionLost, match=r"camera at 127\.255\.0\.1: connect: no connection"):
+        GenicamCamera(section(), GenicamSettings(address="127.255.0.1"))
+
+
+def test_a_camera_that_another_program_has_is_one_sentence():
+    with emulated() as wire, connect(wire), pytest.raises(ConnectionLost, match="no other program has it"):
+        connect(wire)
+
+
+def test_nothing_is_left_after_close():
+    def held() -> tuple[int, set[str]]:
+        return len(os.listdir("/proc/self/task")), {
+            os.readlink(path) for path in Path("/proc/self/fd").iterdir() if path.is_symlink() and path.exists()
+        }
+
+    def cycle() -> None:
+        with emulated() as wire, connect(wire) as camera:
+            camera.arm()
+            camera.trigger_and_grab()
+
+    cycle()  # what the library keeps for good is made once
+    before = held()
+    cycle()
+    after = held()
+    assert after[0] <= before[0]
+    assert after[1] <= before[1]
+
+
+def test_without_aravis_there_is_one_sentence_with_the_remedy(monkeypatch):
+    monkeypatch.setattr(aravis, "find_libraries", lambda: ())
+    aravis.load.cache_clear()
+    try:
+        with pytest.raises(InputError, match=r"apt-get install libaravis-0.8-0.*pip install greenough\[genicam\]"):
+            genicam_camera.GenicamCamera(section(), GenicamSettings(address="127.0.0.1"))
+    finally:
+        aravis.load.cache_clear()

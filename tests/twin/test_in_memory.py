@@ -20,6 +20,7 @@ def captures(seed: int, samples: Sequence[str]) -> list[np.ndarray]:
     stacks = []
     for sample in samples:
         rig.operator.place(Placement(sample))
+        rig.capture(np.full((1, *rig.projector.shape), 255, np.uint8))  # as exposures are set
         stacks.append(rig.capture(fringe_patterns(rig)).stack)
     return stacks
 

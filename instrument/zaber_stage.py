@@ -199,7 +199,11 @@ class ZaberStage:
     def _move(self, command: str, timeout_s: float) -> int:
         """Do ``command``, wait, and return where it ended."""
         try:
-            self._ask(command)
+            try:
+                self._ask(command)
+            except Rejected:
+                self._vouch(self._ask(""), command, ())  # a fault says better why
+                raise
             self._wait_until_idle(command, timeout_s)
             return self._count(command, (*_PLACELESS, *_INTERRUPTED))
         except BaseException:

@@ -4,6 +4,7 @@ import contextlib
 import itertools
 import logging
 import os
+import random
 import threading
 import time
 
@@ -147,7 +148,7 @@ def test_a_stall_is_told_and_homing_recovers_from_it():
 
 def test_an_emergency_stop_is_told_until_it_is_released():
     with opened() as (device, _, stage):
-        device.press_emergency_stop()
+        device.at_message(device.messages + 2, device.press_emergency_stop)  # after it was found in order
         for attempt in (lambda: stage.move_to_mm(0.5), stage.home):
             with pytest.raises(Fault, match="release the emergency stop"):
                 attempt()
@@ -319,6 +320,46 @@ def test_a_port_that_is_pulled_out_is_told_at_once(terminal, message):
         with pytest.raises(ConnectionLost):
             held.close()
         assert time.monotonic() - began < SLACK_S
+
+
+FAULTS = {
+    "stall": lambda device, server: device.stall(),
+    "emergency stop": lambda device, server: device.press_emergency_stop(),
+    "never arrives": lambda device, server: device.hang(),
+    "knob": lambda device, server: device.turn_knob(-700),
+    "power": lambda device, server: device.switch_off_and_on(),
+    "wrong checksum": lambda device, server: device.spoil(wrong_checksum),
+    "truncated": lambda device, server: device.spoil(truncated),
+    "broken off": lambda device, server: device.spoil(broken_off),
+    "twice": lambda device, server: device.spoil(doubled),
+    "late": lambda device, server: device.delay(),
+    "unsolicited": lambda device, server: device.spoil(preceded_by(*STRANGERS)),
+    "silence": lambda device, server: device.fall_silent(),
+    "port gone": lambda device, server: server.close(),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_no_fault_at_any_point_of_a_scan_ends_in_a_wrong_position(fault):
+    """A position that is given out is the true one, and a scan that does not end is told why, and is at rest."""
+    rng = random.Random(fault)
+    for message in rng.sample(range(1, 20), 4):
+        with contextlib.ExitStack() as held:
+            device, server, stage = held.enter_context(opened())
+            device.at_message(device.messages + message, lambda d=device, s=server: FAULTS[fault](d, s))
+            told = None
+            try:
+                for target in (0.4, -0.4, 0.0, 0.8):  # five messages each, and leaving
+                    stage.move_to_mm(target)
+                    reading = stage.position_mm
+                    assert (device.position - ZERO) * MICROSTEP_UM * 1e-3 == pytest.approx(reading, abs=1e-9)
+                held.close()
+            except DeviceError as error:
+                told = error
+                with contextlib.suppress(DeviceError):
+                    held.close()
+            assert not device.moves
+            assert told is None or fault not in ("twice", "unsolicited")
 
 
 @pytest.mark.parametrize(

@@ -29,7 +29,8 @@ class FirstUse:
     compiled, cached : int
         Kernels that were compiled for the first use, and that an earlier process had left on disk.
     compiled_for_another : int
-        Kernels that were then compiled for the same step of another instrument, from its opening on.
+        Kernels that were then compiled for the same step of another instrument, from its opening on, after the first
+        was given up.
     """
 
     first_s: float
@@ -61,6 +62,7 @@ def use(step: Step, rig_name: str, overrides: Sequence[str]) -> FirstUse:
     work = prepare(rig_name, overrides)
     first_s, kernels = _kernels(work)
     second_s, _ = _kernels(work)
+    del work  # Dr.Jit numbers the materials of all scenes alive, and writes the numbers into kernels
     _, more = _kernels(lambda: prepare(rig_name, [*overrides, *_another(rig_name, overrides)])())
     return FirstUse(
         first_s=first_s,

@@ -4,6 +4,7 @@ It is found as the operating system's own library or in the wheel ``aravis-pytho
 """
 
 import ctypes
+import ctypes.util
 import importlib.util
 import sys
 from ctypes import POINTER, byref, c_char_p, c_double, c_int, c_size_t, c_uint, c_uint32, c_uint64, c_void_p
@@ -59,7 +60,6 @@ _DEVICE_ERRORS = (
     "busy",
 )
 
-_SYSTEM = {"darwin": "libaravis-0.8.dylib", "win32": "libaravis-0.8-0.dll"}.get(sys.platform, "libaravis-0.8.so.0")
 _WHEEL = {"darwin": "lib/libaravis-0.8.dylib", "win32": "bin/aravis-0.8-0.dll"}.get(
     sys.platform, "lib/libaravis-0.8.so"
 )
@@ -152,28 +152,25 @@ def find_libraries() -> tuple[str, ...]:
         path = Path(wheel.submodule_search_locations[0]) / _WHEEL
         if path.exists():
             found.append(str(path))
-    try:
-        ctypes.CDLL(_SYSTEM)
-    except OSError:
-        return tuple(found)
-    return (*found, _SYSTEM)
+    system = ctypes.util.find_library("aravis-0.8")
+    return (*found, system) if system else tuple(found)
 
 
 @cache
-def load(path: str | None = None) -> "Aravis":
-    """Aravis from the library at ``path``, or the first that is found. A process can use only one.
+def load() -> "Aravis":
+    """The first Aravis that is found, ready to be called.
 
     Raises
     ------
     InputError
         When none is installed, or it cannot be loaded.
     """
-    paths = (path,) if path else find_libraries()[:1]
+    libraries = find_libraries()
     remedy = 'run "apt-get install libaravis-0.8-0" (Debian, Ubuntu) or "pip install greenough[genicam]"'
-    if not paths:
+    if not libraries:
         raise InputError(f"GenICam cameras are reached through Aravis, which is not installed: {remedy}.")
     try:
-        return Aravis(ctypes.CDLL(paths[0]))
+        return Aravis(ctypes.CDLL(libraries[0]))
     except OSError as error:
         raise InputError(f"Aravis cannot be loaded ({error}): {remedy}.") from None
 

@@ -1,6 +1,5 @@
 """GenicamCamera through Aravis against the emulated camera, over UDP on loopback."""
 
-import multiprocessing
 import os
 import random
 import time
@@ -10,7 +9,7 @@ from pathlib import Path
 import emulated_gige
 import numpy as np
 import pytest
-from emulated_gige import MODEL, SHAPE, emulated, free_address, picture, section
+from emulated_gige import MODEL, SHAPE, emulated, picture, section
 
 from greenough.instrument import aravis, genicam_camera
 from greenough.instrument.device_errors import ConnectionLost, DeviceError, Fault, TimedOut
@@ -143,7 +142,12 @@ def test_frames_that_nobody_asked_for_are_passed_over(kind):
     [
         (FrameFault("lost"), TimedOut, "the frame did not come within"),
         (FrameFault("late", delay_s=2 * SHORT_S), TimedOut, "the frame did not come within"),
-        (FrameFault("packets_lost", share=0.3, for_good=True), Fault, "buffer status"),
+        # Whether an incomplete frame is handed out as such or kept back is up to Aravis' version.
+        (
+            FrameFault("packets_lost", share=0.3, for_good=True),
+            (Fault, TimedOut),
+            "(buffer status|the frame did not come within)",
+        ),
     ],
 )
 def test_a_frame_that_does_not_come_whole_and_in_time_is_an_error_and_never_the_next_frame(fault, error, sentence):
@@ -174,6 +178,36 @@ def test_a_frame_that_is_missing_in_the_count_is_an_error():
             camera.trigger_and_grab()
         camera.arm()
         assert np.array_equal(camera.trigger_and_grab().image, picture(Trigger(3, 0, 0)))
+
+
+class Substituted:
+    """Aravis with another answer to one of its functions."""
+
+    def __init__(self, original: aravis.Aravis, function: str, answer: int):
+        self._original, self._function, self._answer = original, function, answer
+
+    def __call__(self, name, *arguments):
+        return self._answer if name == self._function else self._original(name, *arguments)
+
+    def __getattr__(self, name):
+        return getattr(self._original, name)
+
+
+@pytest.mark.parametrize(
+    ("function", "answer", "sentence"),
+    [
+        *(("arv_buffer_get_status", status, meaning) for status, meaning in aravis.STATUS_NAMES.items()),
+        ("arv_buffer_get_status", -1, "unknown"),
+        ("arv_buffer_get_image_width", SHAPE[1] - 1, "not the frame that was set"),
+        ("arv_buffer_get_image_pixel_format", aravis.PIXEL_FORMATS["Mono16"], "not the frame that was set"),
+    ],
+)
+def test_a_buffer_that_is_not_whole_or_not_as_set_is_an_error(function, answer, sentence):
+    with emulated() as wire, connect(wire) as camera:
+        camera._aravis = Substituted(camera._aravis, function, answer)
+        camera.arm()
+        with pytest.raises(Fault, match=sentence):
+            camera.trigger_and_grab()
 
 
 def test_whatever_happens_to_frames_no_other_is_ever_taken_for_them():
@@ -210,28 +244,6 @@ def test_silence_is_an_error_within_the_stated_time():
             camera.trigger_and_grab()
         assert time.monotonic() - started_s < 2 * aravis.REPLY_TIMEOUT_S
         wire.silent = False
-
-
-def test_a_camera_whose_process_is_killed_is_an_error_and_can_be_closed():
-    context = multiprocessing.get_context("spawn")
-    ready = context.Event()
-    address = free_address()
-    process = context.Process(target=emulated_gige.serve, args=(address, ready), daemon=True)
-    process.start()
-    try:
-        assert ready.wait(PATIENT_S)
-        camera = GenicamCamera(section(), GenicamSettings(address=address, frame_timeout_s=PATIENT_S))
-        camera.arm()
-        assert np.array_equal(camera.trigger_and_grab().image, picture(Trigger(0, 0, 0)))
-        process.kill()
-        process.join()
-        with pytest.raises((TimedOut, ConnectionLost), match=f"camera at {address}: software trigger for frame 1"):
-            camera.trigger_and_grab()
-        camera.close()
-    finally:
-        process.kill()
-        process.join()
-        process.close()
 
 
 def test_a_camera_that_is_not_there_is_one_sentence():

@@ -193,7 +193,7 @@ class LightCrafterServer:
         return self._listener.getsockname()[1]
 
     def __enter__(self) -> Self:
-        self._listener = socket.create_server(self._address, backlog=MAX_CLIENTS)
+        self._listener = socket.create_server(self._address)
         self._listener.setblocking(False)
         self._waker, self._woken = socket.socketpair()
         self._selector = selectors.DefaultSelector()

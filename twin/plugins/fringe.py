@@ -47,7 +47,7 @@ from .guiding import Guide, look_around
 from .lens_projector import LensProjector
 from .lens_sensor import BORDER, LensSensor
 from .smoothing import smoothed
-from .survey import survey
+from .survey import blocks, survey
 
 DIMENSIONS_DIRECT = 6  # pixel, camera pupil, pupil of an emitter: two each
 DIMENSIONS_BOUNCE = 3  # lobe and direction
@@ -136,9 +136,13 @@ class FringeIntegrator(mi.SamplingIntegrator):
         count = max(2, self.nodes_indirect * (spp or self.nodes) // self.nodes)
         with dr.suspend_grad():
             guide = self._guide(scene, sensor) if self.guided else None
-            pixel = dr.arange(mi.UInt32, dr.prod(_size(sensor)))
+            cols, rows = _size(sensor)
+            pixel = mi.UInt32(packed(blocks((rows, cols)), aligned=True))
             table = nodes(count, DIMENSIONS_DIRECT + DIMENSIONS_BOUNCE * (self.bounces - 1) + DIMENSIONS_GUIDE)
-            channels = self._accumulate(scene, sensor, pixel, seed, table, True, partial(self._indirect, scene, guide))
+            light = self._accumulate(scene, sensor, pixel, seed, table, True, partial(self._indirect, scene, guide))
+            channels = [dr.empty(mi.Float, rows * cols) for _ in light]
+            for channel, value in zip(channels, light, strict=True):
+                dr.scatter(channel, value, pixel)
             if self.smoothing:
                 channels = self._smoothed(channels, scene, sensor)
             dr.eval(channels)

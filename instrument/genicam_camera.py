@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from ctypes import byref, c_int, c_size_t
 from types import TracebackType
-from typing import Annotated, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -92,7 +92,8 @@ class GenicamCamera:
         self._aravis = load()
         self._section, self._settings = section, settings
         self._name = f"camera at {settings.address}"
-        self._camera = self._stream = None
+        self._camera: Any = None
+        self._stream: Any = None
         self._served = 0
         self._last_block: int | None = None
         if _is_address(settings.address):

@@ -56,7 +56,7 @@ class V4l2Controls:
             self._file = os.open(path, os.O_RDWR | os.O_NONBLOCK)
         except OSError as error:
             remedy = "see that the camera is plugged in and that your account is in the group video"
-            raise ConnectionLost(self._name, "open", error.strerror, remedy) from None
+            raise ConnectionLost(self._name, "open", str(error.strerror), remedy) from None
 
     def identity(self) -> CameraIdentity:
         """Vendor, model, serial and firmware, from what USB says of the device where it is a USB device."""
@@ -104,9 +104,9 @@ class V4l2Controls:
 
     def _typed(self, error: OSError, command: str) -> DeviceError:
         if error.errno in _UNPLUGGED:
-            return ConnectionLost(self._name, command, error.strerror, _RECONNECT)
+            return ConnectionLost(self._name, command, str(error.strerror), _RECONNECT)
         code = errno.errorcode.get(error.errno or 0, str(error.errno))
-        return Rejected(self._name, command, code, error.strerror, "see that no other program has the camera")
+        return Rejected(self._name, command, code, str(error.strerror), "see that no other program has the camera")
 
 
 def _text(path: Path) -> str:

@@ -15,7 +15,8 @@ from greenough.instrument import aravis, genicam_camera
 from greenough.instrument.device_errors import ConnectionLost, DeviceError, Fault, TimedOut
 from greenough.instrument.errors import InputError
 from greenough.instrument.genicam_camera import GenicamCamera, GenicamSettings
-from greenough.twin.wire.gige_camera import FrameFault, GigeCamera, Trigger
+from greenough.twin.wire.gige_camera import GigeCamera, Trigger
+from greenough.twin.wire.gige_stream import FrameFault
 
 PATIENT_S = 60.0  # for frames that come: however busy the machine is
 SHORT_S = 0.8  # for frames that do not

@@ -8,7 +8,6 @@ can be spoiled on purpose, to see what a client makes of it.
 
 import logging
 import queue
-import random
 import socket
 import struct
 import threading
@@ -16,7 +15,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from typing import Literal, Self
+from typing import Self
 
 import numpy as np
 
@@ -24,6 +23,7 @@ from greenough.instrument.errors import InputError
 
 from . import gige_registers as reg
 from .gige_registers import CameraModel, Refused, Registers
+from .gige_stream import IP_UDP_BYTES, FrameFault, SentFrame, image_packets, some_payload
 from .loopback import check_loopback
 
 PORT = 3956
@@ -35,10 +35,6 @@ _WANTS_ACKNOWLEDGE = 0x01
 _NOT_IMPLEMENTED, _INVALID_HEADER = 0x8001, 0x800E
 _MEMORY_MAX = 536  # bytes of memory in one packet
 
-_LEADER, _TRAILER, _PAYLOAD = 1, 2, 3
-_UNAVAILABLE = 0x800C
-_IMAGE = 1
-_IP_UDP_BYTES, _GVSP_BYTES = 28, 8
 _FRAMES_KEPT = 4  # for packets that are asked for again
 _TRIGGERS_WAITING = 8
 _BURST, _PAUSE_S = 12, 2e-4  # packets at once: what a socket buffers by default, with room
@@ -65,37 +61,10 @@ class Trigger:
 
 
 @dataclass(frozen=True)
-class FrameFault:
-    """What goes wrong with one frame.
-
-    Parameters
-    ----------
-    kind : str
-        ``"late"``: it leaves ``delay_s`` after it should; ``"lost"``: it never does, though it is counted;
-        ``"sent_twice"``: with the same block id; ``"untriggered"``: another one of the same picture follows that nobody
-        asked for; ``"number_skipped"``: its block id is one too high, as after a frame that was lost on the way;
-        ``"packets_lost"``: ``share`` of its packets do not arrive at first, and never do if ``for_good``.
-    """
-
-    kind: Literal["late", "lost", "sent_twice", "untriggered", "number_skipped", "packets_lost"]
-    delay_s: float = 0.0
-    share: float = 0.0
-    for_good: bool = False
-
-
-@dataclass(frozen=True)
 class _Exposure:
     trigger: Trigger
     time_ns: int  # of the camera's clock
     region: tuple[slice, slice]
-
-
-@dataclass(frozen=True)
-class _SentFrame:
-    block: int
-    packets: tuple[bytes, ...]
-    destination: tuple[str, int]
-    unavailable: frozenset[int] = frozenset()
 
 
 class GigeCamera:
@@ -138,8 +107,8 @@ class GigeCamera:
         self._streaming = False
         self._triggers = 0
         self._blocks = 0
-        self._exposures: queue.Queue[_Exposure | None] = queue.Queue(_TRIGGERS_WAITING)
-        self._sent: deque[_SentFrame] = deque(maxlen=_FRAMES_KEPT)
+        self._exposures: queue.Queue[_Exposure] = queue.Queue(_TRIGGERS_WAITING)
+        self._sent: deque[SentFrame] = deque(maxlen=_FRAMES_KEPT)
         self._answered: tuple[tuple[tuple[str, int], bytes] | None, bytes] = None, b""
         self._handlers = {
             _DISCOVERY: self._discover,
@@ -281,7 +250,7 @@ class GigeCamera:
                 self._registers.set_u64(reg.TIMESTAMP_VALUE, time.monotonic_ns())
             case reg.PACKET_SIZE if value & reg.FIRE_TEST_PACKET:
                 self._registers.set_u32(reg.PACKET_SIZE, value & ~reg.FIRE_TEST_PACKET)
-                self._send_packet(bytes((value & 0xFFFF) - _IP_UDP_BYTES), self._destination())
+                self._send_packet(bytes((value & 0xFFFF) - IP_UDP_BYTES), self._destination())
             case reg.ACQUISITION:
                 self._streaming = bool(value)
                 if value:
@@ -344,7 +313,7 @@ class GigeCamera:
             return
         arriving = everything
         if fault and kind == "packets_lost":
-            lost = _some_of(len(frame.packets), fault.share, seed=exposure.trigger.number)
+            lost = some_payload(frame.packets, fault.share, seed=exposure.trigger.number)
             frame = replace(frame, unavailable=lost if fault.for_good else frozenset())
             arriving = [number for number in everything if number not in lost]
         self._sent.append(frame)
@@ -354,30 +323,17 @@ class GigeCamera:
         if kind == "untriggered":
             self._send(self._frame(exposure, pixels), everything)
 
-    def _frame(self, exposure: _Exposure, pixels: bytes) -> _SentFrame:
-        """The packets of the next block: leader, payload, trailer."""
+    def _frame(self, exposure: _Exposure, pixels: bytes) -> SentFrame:
+        """The next block."""
         self._blocks = self._blocks % 0xFFFF + 1
-        rows, cols = exposure.region
-        room = (self._registers.u32(reg.PACKET_SIZE) & 0xFFFF) - _IP_UDP_BYTES - _GVSP_BYTES
-        size = struct.pack(">IIII", cols.stop - cols.start, rows.stop - rows.start, cols.start, rows.start)
-        pixel_format = reg.PIXEL_CODES[self._model.pixel_format]
-        parts = [
-            (_LEADER, struct.pack(">HHQI", 0, _IMAGE, exposure.time_ns, pixel_format) + size + bytes(4)),
-            *((_PAYLOAD, pixels[start : start + room]) for start in range(0, len(pixels), room)),
-            (_TRAILER, struct.pack(">HHI", 0, _IMAGE, rows.stop - rows.start)),
-        ]
-        packets = (
-            struct.pack(">HHI", 0, self._blocks, kind << 24 | number) + data
-            for number, (kind, data) in enumerate(parts)
-        )
-        return _SentFrame(self._blocks, tuple(packets), self._destination())
+        room = (self._registers.u32(reg.PACKET_SIZE) & 0xFFFF) - IP_UDP_BYTES
+        code = reg.PIXEL_CODES[self._model.pixel_format]
+        packets = image_packets(self._blocks, exposure.time_ns, exposure.region, code, pixels, room)
+        return SentFrame(self._blocks, packets, self._destination())
 
-    def _send(self, frame: _SentFrame, numbers: Iterable[int]) -> None:
+    def _send(self, frame: SentFrame, numbers: Iterable[int]) -> None:
         for count, number in enumerate(numbers, start=1):
-            packet = frame.packets[number]
-            if number in frame.unavailable:
-                packet = struct.pack(">H", _UNAVAILABLE) + packet[2:_GVSP_BYTES]
-            self._send_packet(packet, frame.destination)
+            self._send_packet(frame.packet(number), frame.destination)
             if count % _BURST == 0:
                 time.sleep(_PAUSE_S)
 
@@ -391,10 +347,3 @@ def _records(body: bytes, layout: str) -> list[tuple]:
     if not body or len(body) % struct.calcsize(layout):
         raise Refused(_INVALID_HEADER)
     return list(struct.iter_unpack(layout, body))
-
-
-def _some_of(count: int, share: float, seed: int) -> frozenset[int]:
-    """Numbers of the payload packets that are lost: at least one."""
-    payload = range(1, count - 1)
-    lost = max(1, round(share * len(payload)))
-    return frozenset(random.Random(seed).sample(payload, lost))

@@ -198,7 +198,7 @@ class Registers:
 
 def _description(model: CameraModel) -> bytes:
     """The camera's GenICam description, padded to whole registers."""
-    template = Template((resources.files(__package__) / "gige_features.xml").read_text())
+    template = Template((resources.files("greenough.twin.wire") / "gige_features.xml").read_text())
     (low_us, high_us), (low_db, high_db) = model.exposure_limits_us, model.gain_limits_db
     if not all(math.isfinite(limit) for limit in (low_us, high_us, low_db, high_db)):
         raise ValueError("a camera's limits are finite")

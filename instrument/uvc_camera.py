@@ -279,14 +279,18 @@ class UvcCamera:
             frame = self._capture.read(left_s)
             if frame is None:
                 break
-            self._check(frame.image, command)
+            self._check(frame, command)
             if math.isfinite(frame.time_s) and frame.time_s >= earliest_s:
                 return np.array(frame.image)
             _log.debug("%s: a frame from before it was asked for is passed over", self._name)
         raise TimedOut(self._name, command, timeout_s, _REMEDY, "the frame")
 
-    def _check(self, image: np.ndarray, command: str) -> None:
-        wanted = np.dtype(np.uint8 if self._section.bits == 8 else np.uint16)
+    def _check(self, frame: CapturedFrame, command: str) -> None:
+        image, wanted = frame.image, np.dtype(np.uint8 if self._section.bits == 8 else np.uint16)
         if image.shape != self.shape or image.dtype != wanted:
             meaning = f"{image.dtype} of shape {image.shape} instead of {wanted} of shape {self.shape}"
             raise Fault(self._name, command, "not the frame that was set", meaning, _REMEDY)
+        ahead_s = frame.time_s - time.monotonic()
+        if ahead_s > 0:
+            meaning = f"its time is {ahead_s:.3g} s ahead: what is fresh cannot be told"
+            raise Fault(self._name, command, "another clock", meaning, "let the kernel's driver use CLOCK_MONOTONIC")

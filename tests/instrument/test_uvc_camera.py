@@ -191,6 +191,14 @@ def test_a_frame_of_another_size_or_type_is_an_error(fake, image):
             camera.trigger_and_grab()
 
 
+def test_a_frame_by_another_clock_is_an_error_since_its_freshness_cannot_be_told(fake, monkeypatch):
+    with open_camera(fake) as camera:
+        camera.arm()
+        monkeypatch.setattr(fake, "read", lambda _: fake.frame(fake.now_s + 1.7e9))  # seconds since 1970
+        with pytest.raises(Fault, match="another clock"):
+            camera.trigger_and_grab()
+
+
 def test_exposure_and_gain_are_set_in_the_vendors_units_and_reported_as_taken(fake):
     with open_camera(fake) as camera:
         camera.exposure_us = 8333.4

@@ -28,6 +28,7 @@ DEFOCUS = (0.0, 0.4, 0.75, 1.1, 1.5)
 START_SEED = 1
 STAY = 0.01  # weight of how far the nodes move from where they start
 SECOND = DIMENSIONS * (DIMENSIONS + 1) // 2  # products of two coordinates
+SECOND_WEIGHT = 30.0  # whatever depends on place and direction is seen alike by all tables if these are right
 FOURTH = 0.1  # weight of products of four coordinates: few nodes cannot have them all right
 
 
@@ -107,7 +108,7 @@ def design(count: int) -> np.ndarray:
     start = qmc.Sobol(DIMENSIONS, rng=np.random.default_rng(START_SEED)).random(count // 2)
     start = np.clip(start, 0.01, 0.99)
     at = frequencies()
-    weights = np.where(np.arange(len(moments(start))) < SECOND, 1.0, FOURTH)
+    weights = np.where(np.arange(len(moments(start))) < SECOND, SECOND_WEIGHT, FOURTH)
 
     def error(v: np.ndarray) -> np.ndarray:
         half = v.reshape(-1, DIMENSIONS)

@@ -36,8 +36,8 @@ def test_samples_of_the_square_fill_tent_and_disk():
 def test_place_in_pixel_and_pupils_are_not_correlated(count):
     half = nodes_of_direct_light(count)[: count // 2].astype(float)
     low_discrepancy = nodes(count, DIMENSIONS)[: count // 2].astype(float)
-    assert np.abs(moments(half)[:SECOND]).max() < 0.003
-    assert np.abs(moments(half)[:SECOND]).max() < np.abs(moments(low_discrepancy)[:SECOND]).max() / 3
+    assert np.abs(moments(half)[:SECOND]).max() < 5e-5
+    assert np.abs(moments(half)[:SECOND]).max() < np.abs(moments(low_discrepancy)[:SECOND]).max() / 100
 
 
 @pytest.mark.parametrize("count", COUNTS)

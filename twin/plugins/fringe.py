@@ -346,12 +346,17 @@ def _spectrum(scene: mi.Scene) -> Spectrum:
 
 
 def _colour(scene: mi.Scene, i: mi.UInt32, count: int, shift: mi.Float | float) -> mi.Float | float:
-    """Wavelength in µm of node ``i``: of equal shares of the projector's spectrum each node takes one."""
+    """Wavelength in µm of node ``i``: of equal shares of the projector's spectrum a node and its mirror image take one.
+
+    So colour goes with no direction, and what a lens does to either does not shift the picture. Without a shift, the
+    shares' middles are parted until they have the spectrum's variance.
+    """
     spectrum = _spectrum(scene)
     if spectrum.fwhm_um == 0:
         return spectrum.centre_um
-    u = mi.Float(dr.brev(i)) * 2.0**-32 + 0.5 / count + shift
-    return spectrum.wavelength_um(u - dr.floor(u))
+    shares = max(1, count // 2)
+    u = mi.Float(dr.brev(i % shares)) * 2.0**-32 + 0.5 / shares + shift
+    return spectrum.wavelength_um(u - dr.floor(u), spectrum.parting(shares))
 
 
 def _direct(scene, si, ray, throughput, active, pupil, colour, white=False):

@@ -54,11 +54,13 @@ class Nodes:
 def renderer_nodes(table: np.ndarray, settings: TwinSettings) -> Nodes:
     """The nodes of a ``table`` (nodes, 6) of the unit cube, as the plugin ``fringe`` uses it."""
     count = len(table)
-    bits = int(np.log2(count))
-    reversed_index = np.array([int(f"{k:0{bits}b}"[::-1], 2) for k in range(count)])
+    shares = count // 2  # of the spectrum: a node and its mirror image have one
+    bits = int(np.log2(shares))
+    reversed_index = np.array([int(f"{k % shares:0{bits}b}"[::-1], 2) for k in range(count)])
     bandwidth = settings.light.bandwidth_um if settings.optics.glass else 0.0
     spectrum = Spectrum(settings.optics.wavelength_um, bandwidth)
-    wavelength = np.array(spectrum.wavelength_um(Double(packed((reversed_index + 0.5) / count))))
+    middles = Double(packed((reversed_index + 0.5) / shares))
+    wavelength = np.array(spectrum.wavelength_um(middles, spectrum.parting(shares)))
     within = tent(table[:, :2]) if settings.optics.camera_diffraction else table[:, :2] - 0.5
     open_stop = float(settings.optics.finite_aperture)
     return Nodes(

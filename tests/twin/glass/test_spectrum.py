@@ -32,3 +32,12 @@ def test_wavelength_grows_with_the_sample():
 
 def test_without_width_all_light_has_one_wavelength():
     assert np.unique(wavelengths(Spectrum(0.525, 0.0))) == pytest.approx([0.525])
+
+
+@pytest.mark.parametrize("shares", [2, 8, 64])
+def test_middles_of_few_shares_have_the_variance_of_the_light(shares):
+    spectrum = Spectrum(0.525, 0.030)
+    middles = mi.Float((np.arange(shares) + 0.5) / shares)
+    few = np.array(spectrum.wavelength_um(middles, spectrum.parting(shares)), float)
+    assert few.mean() == pytest.approx(0.525, abs=1e-6)
+    assert few.std() == pytest.approx(wavelengths(spectrum).std(), rel=1e-3)

@@ -10,6 +10,7 @@ from greenough.instrument.errors import InputError
 
 from .spot_fit import SpotFits, fit_spots
 from .spot_grid import MIN_SPOTS, BoardNotFound, order_spots
+from .spot_light import light_gradients
 
 __all__ = ["BoardNotFound", "Spots", "detect_spots"]
 
@@ -82,6 +83,9 @@ def detect_spots(image: np.ndarray, board: SpotBoard) -> Spots:
     index = order_spots(centres, np.pi * axes.prod(axis=1), board)
     spot = np.flatnonzero(index >= 0)
     fits = fit_spots(image, centres[index[spot]], axes[index[spot]])
+    light = light_gradients(image, fits.centres_px, fits.axes_px)
+    if light is not None:
+        fits = fit_spots(image, centres[index[spot]], axes[index[spot]], light)
     good = _consistent(fits, spot, board, _noise_dn(image))
     if good.sum() < MIN_SPOTS:
         raise BoardNotFound(

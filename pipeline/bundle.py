@@ -8,9 +8,8 @@ Between postures the projected picture drifts against the camera, as far as the 
 phase offset for it, held together by the random walk that a drift is. A camera that sees a board shrink by a few parts
 per million would otherwise pull heights by the drift, which looks the same.
 
-Where a board is tilted and out of focus, blur over the aperture moves spots and phases along the slope by the order of
-NA²/4 times height times slope. With z = slope times distance this is the same as another scale of z, so nothing in the
-data shows it: heights may be wrong in scale by that order, 0.06 per mille at NA 0.015.
+Where a board is tilted and out of focus, blur moves the phases at its spots along the slope (`slope_blur`), which looks
+like another scale of z: nothing in the data would show it, so phases must come freed from it.
 """
 
 from dataclasses import dataclass, replace
@@ -20,6 +19,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from greenough.instrument.contract import SpotBoard
 
+from .blas import on_one_thread
 from .bundle_data import BundleData
 from .bundle_rows import BLOCKS, CENTRES, SPOT_PHASES, Rows, plane_rows, posture_rows
 from .bundle_state import BoardShape, BundleState, Layout
@@ -87,6 +87,7 @@ class Bundle:
         return self.state.plane_height(plane, self.board, xy)
 
 
+@on_one_thread
 def solve_bundle(
     data: BundleData,
     start: CameraCalibration,

@@ -37,7 +37,7 @@ def calibrate_by_bundle(data: CalibrationData) -> Calibration:
     blocks = tuple(block_averages(phase) for phase in chain([data.phase_at_zero], data.phases))
     _check(blocks)
     readings = np.concatenate([[0.0], data.readings_mm])
-    observed = BundleData(data.spots, data.spot_phases, blocks)
+    observed = BundleData(*data.sharp_postures, blocks)
     bundle = solve_bundle(observed, data.camera, data.board, readings, data.path_drift_mm2)
 
     def surface(k: int, xy: np.ndarray) -> np.ndarray:

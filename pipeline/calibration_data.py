@@ -19,6 +19,7 @@ from .path_drift import walk_covariance
 from .phase_height import PhaseHeight, PlanePhases
 from .point_spread import PointSpread
 from .rays import Rays
+from .slope_blur import freed_from_blur
 from .spots import Spots
 
 
@@ -74,6 +75,18 @@ class CalibrationData:
     def centres_px(self) -> np.ndarray:
         """Where the spots' centres were found, (postures, spots, 2); NaN where unseen."""
         return np.array([spots.centres_px for spots in self.spots])
+
+    @property
+    def sharp_postures(self) -> tuple[tuple[Spots, ...], tuple[SpotPhases, ...]]:
+        """``spots`` and ``spot_phases`` freed from what blur does on tilted boards, if the point spread is known."""
+        if self.point_spread is None:
+            return self.spots, self.spot_phases
+        heights = self.camera.spot_heights(self.board)
+        freed = [
+            freed_from_blur(spots, phases, z, self.point_spread)
+            for spots, phases, z in zip(self.spots, self.spot_phases, heights, strict=True)
+        ]
+        return tuple(spots for spots, _ in freed), tuple(phases for _, phases in freed)
 
     @property
     def drift_share(self) -> float:

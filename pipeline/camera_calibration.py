@@ -65,6 +65,13 @@ class CameraCalibration:
         """Root mean square of the residuals along u and along v, (2,)."""
         return np.sqrt(np.nanmean(self.residuals_px**2, axis=(0, 1)))
 
+    def spot_heights(self, board: SpotBoard) -> np.ndarray:
+        """World heights (postures, spots) of the nominal spots, mm."""
+        centres = board.centres()
+        nominal = np.column_stack([centres, np.zeros(len(centres)), np.ones(len(centres))])
+        world_from_board = np.linalg.inv(self.camera_from_world) @ self.camera_from_board
+        return (world_from_board @ nominal.T)[:, 2]
+
     def project(self, xyz_world: np.ndarray) -> np.ndarray:
         """Pixels (..., 2) of world points (..., 3)."""
         return _project_points(self.camera, self.camera_from_world, xyz_world)

@@ -62,8 +62,16 @@ class PointSpread:
 
     def disc_radius_px(self, pixels: np.ndarray, height_mm: np.ndarray) -> np.ndarray:
         """Radius of the disc of defocus (...) of points at heights (...) seen at ``pixels`` (..., 2), (u, v)."""
-        surface = _surface_terms(pixels, self.shape) @ np.array(self.focus_mm)
-        return self.defocus_px_per_mm * np.abs(height_mm - surface)
+        return self.defocus_px_per_mm * np.abs(self.defocus_mm(pixels, height_mm))
+
+    def defocus_mm(self, pixels: np.ndarray, height_mm: np.ndarray) -> np.ndarray:
+        """Height (...) over the surface in focus of points at heights (...) seen at ``pixels`` (..., 2), (u, v)."""
+        return height_mm - _surface_terms(pixels, self.shape) @ np.array(self.focus_mm)
+
+    def focus_rise(self, pixels: np.ndarray) -> np.ndarray:
+        """Rise (..., 2) of the surface in focus along u and v, mm per px, at ``pixels`` (..., 2)."""
+        _, *tilt, curvature = self.focus_mm
+        return tilt + 2 * curvature * (pixels - (np.array(self.shape[::-1]) - 1) / 2)
 
     def transfer(self, shape: tuple[int, int], disc_radius_px: float) -> np.ndarray:
         """Transfer function (rows, cols) float32 in the order of ``fft2``: real, for the spread is symmetric."""
@@ -87,9 +95,7 @@ def estimate_point_spread(spots: Sequence[Spots], camera: CameraCalibration, boa
     InputError
         Too few spots, or spots at too few different heights to tell defocus from diffraction.
     """
-    nominal = np.column_stack([board.centres(), np.zeros(board.rows * board.cols), np.ones(board.rows * board.cols)])
-    world_from_board = np.linalg.inv(camera.camera_from_world) @ camera.camera_from_board
-    height = (world_from_board @ nominal.T)[:, 2]  # (postures, spots)
+    height = camera.spot_heights(board)
     centres, axes = (np.array([getattr(each, name) for each in spots]) for name in ("centres_px", "axes_px"))
     blur = np.array([np.full(len(each.sigma_px), np.nan) if each.blur_px is None else each.blur_px for each in spots])
     big = np.broadcast_to(board.diameters() > np.mean([board.big_diameter_mm, board.small_diameter_mm]), blur.shape)

@@ -22,7 +22,7 @@ def calibrate_by_postures(data: CalibrationData) -> Calibration:
     InputError
         If there are too few phases at spots, or they do not determine the projector.
     """
-    observed = BundleData(data.spots, data.spot_phases, ())
+    observed = BundleData(*data.sharp_postures, ())
     bundle = solve_bundle(observed, data.camera, data.board, np.empty(0), data.path_drift_mm2)
     poses, spots = bundle.state.world_from_board, bundle.state.spots(bundle.board)
     return supported_calibration(

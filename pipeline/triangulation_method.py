@@ -20,7 +20,7 @@ def calibrate_by_triangulation(data: CalibrationData) -> Calibration:
     InputError
         If the phases do not determine the projector.
     """
-    stereo = calibrate_stereo(data.spots, data.spot_phases, data.camera, data.board)
+    stereo = calibrate_stereo(*data.sharp_postures, data.camera, data.board)
     camera = stereo.instrument.camera.camera
     nominal, radii = data.board.centres(), data.board.diameters() / 2
     residuals_px = data.centres_px - camera.project_circles(nominal, radii, stereo.camera_from_board)

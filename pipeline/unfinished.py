@@ -18,7 +18,7 @@ from greenough.instrument.errors import InputError
 from greenough.instrument.files import atomic_path
 
 KIND = "greenough calibration step"
-VERSION = 2
+VERSION = 3
 
 _MANIFEST = "manifest.json"
 _STACK = "stack"

@@ -20,6 +20,8 @@ from greenough.instrument.rigfile import RigFile
 from greenough.pipeline.acquisition import RIM_PX
 from greenough.pipeline.bundle_data import BundleData, PlaneBlocks, SpotPhases, block_side
 from greenough.pipeline.camera_calibration import CameraCalibration, calibrate_camera
+from greenough.pipeline.point_spread import PointSpread
+from greenough.pipeline.slope_blur import freed_from_blur
 from greenough.pipeline.spots import Spots
 from greenough.scenes.board import PrintedBoard, blank_height, ceramic_height
 
@@ -33,6 +35,7 @@ from .light_paths import STAGGER, LightPaths, Nodes, light_paths, renderer_nodes
 
 EXPOSING = 2  # white frames until an exposure is set
 RIM_POINTS = 6  # of a spot's circle
+FOCUS_POINTS = 7  # along either side of the picture
 _STEP = 1e-3  # mm or px of differences
 _SPOT_MARGIN_PX = 6  # of ink around a spot that is measured
 _INTERSECTIONS = 4
@@ -245,13 +248,44 @@ def observe(instrument: Instrument, noise: Noise, rng: np.random.Generator) -> O
         serial += frames
     board = instrument.rig_file.board.nominal
     camera = calibrate_camera(spots, board, instrument.rig_file.camera.shape, len(spots) - 1)
+    blur = point_spread(instrument)
+    seen = zip(spots, phases, camera.spot_heights(board), strict=True)
+    freed = [freed_from_blur(found, measured, z, blur, fit_pull=0.0, rim_share=0.0) for found, measured, z in seen]
     return Observations(
-        BundleData(tuple(spots), tuple(phases), tuple(planes)),
+        BundleData(tuple(found for found, _ in freed), tuple(measured for _, measured in freed), tuple(planes)),
         camera,
         np.array([0.0, *heights]),
         np.array(taken),
         bench.world_from_twin(),
     )
+
+
+def point_spread(instrument: Instrument) -> PointSpread:
+    """What the pipeline finds of the blur: where the light paths of pixels come closest, and how they part from there.
+
+    As pictures of spots cannot, it is exact; the least spread of paths o + t d over the stop is at t = -cov(o, d) /
+    var(d).
+    """
+    rows, cols = instrument.rig_file.camera.shape
+    v, u = np.meshgrid(*((n - 1) * np.linspace(0.1, 0.9, FOCUS_POINTS) for n in (rows, cols)), indexing="ij")
+    pixels, nodes = np.stack([u.ravel(), v.ravel()], axis=-1), instrument.edge_nodes
+    n, count = len(pixels), len(nodes)
+    origin, direction, weight = instrument.paths.ray(
+        np.repeat(pixels, count, axis=0), np.tile(nodes.camera_stop, (n, 1)), np.tile(nodes.wavelength_um, n)
+    )
+    slope = (direction[:, :2] / direction[:, 2:]).reshape(n, count, 2)
+    foot = origin[:, :2].reshape(n, count, 2) - origin[:, 2].reshape(n, count, 1) * slope
+    share = (weight / weight.reshape(n, count).sum(axis=1).repeat(count)).reshape(n, count, 1)
+    slope, foot = (each - np.sum(share * each, axis=1, keepdims=True) for each in (slope, foot))
+    spread = np.sum(share * slope**2, axis=(1, 2))
+    heights = -np.sum(share * slope * foot, axis=(1, 2)) / spread
+    du, dv = (pixels - [(cols - 1) / 2, (rows - 1) / 2]).T
+    terms = np.linalg.lstsq(np.stack([np.ones(n), du, dv, du**2 + dv**2], axis=-1), heights, rcond=None)[0]
+    optics = instrument.settings.optics
+    px_per_mm = optics.camera_focal_px / optics.pupil_distance_mm
+    cutoff = 2 * optics.na / (optics.wavelength_um * 1e-3 * px_per_mm)
+    # A disc of radius D per height has the variance D²/4 along each of two axes.
+    return PointSpread(cutoff, float(np.sqrt(2 * spread.mean())) * px_per_mm, tuple(map(float, terms)), (rows, cols))
 
 
 def moved_by(instrument: Instrument, serial: int, only_densest: bool = False) -> np.ndarray:

@@ -20,8 +20,8 @@ from greenough.twin.wire.zaber import StageModel, ZaberDevice
 
 MICROSTEP_UM, ZERO = 0.047625, 100_000
 INSTANT = StageModel(travel=200_000, start=30_000, instant=True)
-REPLY_S = 0.15
-SLACK_S = 3.0  # of a busy machine; nothing is judged by it but that waits end
+REPLY_S = 0.4  # where answers fail to come; where they come, a busy machine may take its time
+SLACK_S = 20.0  # of a busy machine; nothing is judged by it but that waits end
 
 
 @contextlib.contextmanager
@@ -40,9 +40,9 @@ def options(port: str, **settings) -> ZaberSettings:
     values = {
         "microstep_um": MICROSTEP_UM,
         "zero_microsteps": ZERO,
-        "reply_timeout_s": REPLY_S,
-        "settle_timeout_s": 0.2,
-        "home_timeout_s": 5.0,
+        "reply_timeout_s": 10.0,
+        "settle_timeout_s": 20.0,
+        "home_timeout_s": 60.0,
     }
     return ZaberSettings(port=port, **(values | settings))
 
@@ -169,7 +169,7 @@ def test_an_emergency_stop_on_the_way_ends_the_waiting():
 
 
 def test_a_stage_that_never_arrives_is_stopped_and_told():
-    with opened() as (device, _, stage):
+    with opened(settle_timeout_s=0.2) as (device, _, stage):
         commands = heard(device)
         device.hang()
         with pytest.raises(TimedOut, match="the end of the motion"):
@@ -218,7 +218,7 @@ def test_a_reset_controller_is_noticed():
 )
 @pytest.mark.parametrize("message", [1, 2, 3, 4])
 def test_a_damaged_reply_at_any_point_is_never_taken_for_an_answer(how, kinds, message):
-    with opened() as (device, _, stage):
+    with opened(reply_timeout_s=10.0 if kinds is BadReply else REPLY_S) as (device, _, stage):
         stage.move_to_mm(-0.5)
         device.at_message(device.messages + message, lambda: device.spoil(how))
         began = time.monotonic()
@@ -255,7 +255,7 @@ def test_what_nobody_asked_for_is_left_aside():
 
 
 def test_a_reply_that_comes_twice_or_too_late_answers_nothing_else():
-    with opened() as (device, _, stage):
+    with opened(reply_timeout_s=REPLY_S) as (device, _, stage):
         stage.move_to_mm(0.5)
         device.spoil(doubled)
         first = stage.position_mm
@@ -284,12 +284,12 @@ def test_a_flood_of_alerts_does_not_make_a_wait_endless():
     with LineServer(Chatterer()) as server:
         began = time.monotonic()
         with pytest.raises(TimedOut):
-            ZaberStage(options(server.terminal), (-1, 1)).connect()
+            ZaberStage(options(server.terminal, reply_timeout_s=REPLY_S), (-1, 1)).connect()
         assert time.monotonic() - began < REPLY_S + SLACK_S
 
 
 def test_an_answer_behind_many_alerts_is_found():
-    with opened(reply_timeout_s=10) as (device, _, stage):
+    with opened() as (device, _, stage):
         stage.move_to_mm(0.5)
         device.spoil(preceded_by(*[b"!01 1 IDLE --\r\n"] * 3000))  # more than a terminal holds
         assert stage.position_mm == pytest.approx(0.5, abs=MICROSTEP_UM * 1e-3)
@@ -298,10 +298,10 @@ def test_an_answer_behind_many_alerts_is_found():
 @pytest.mark.parametrize("terminal", [True, False], ids=["terminal", "tcp"])
 def test_silence_ends_in_the_stated_time(terminal):
     with contextlib.ExitStack() as held:
-        device, _, stage = held.enter_context(opened(terminal=terminal))
+        device, _, stage = held.enter_context(opened(terminal=terminal, reply_timeout_s=REPLY_S))
         device.fall_silent()
         began = time.monotonic()
-        with pytest.raises(TimedOut, match=r"an answer did not come within 0\.15 s"):
+        with pytest.raises(TimedOut, match=r"an answer did not come within 0\.4 s"):
             stage.move_to_mm(0.5)
         with pytest.raises(TimedOut):  # leaving tells, too, that rest could not be confirmed
             held.close()
@@ -343,9 +343,11 @@ FAULTS = {
 def test_no_fault_at_any_point_of_a_scan_ends_in_a_wrong_position(fault):
     """A position that is given out is the true one, and a scan that does not end is told why, and is at rest."""
     rng = random.Random(fault)
-    for message in rng.sample(range(1, 20), 4):
+    short = {"never arrives": {"settle_timeout_s": 0.2}}
+    short |= {name: {"reply_timeout_s": REPLY_S} for name in ("silence", "late", "broken off")}
+    for message in rng.sample(range(1, 20), 2 if fault in short else 6):
         with contextlib.ExitStack() as held:
-            device, server, stage = held.enter_context(opened())
+            device, server, stage = held.enter_context(opened(**short.get(fault, {})))
             device.at_message(device.messages + message, lambda d=device, s=server: FAULTS[fault](d, s))
             told = None
             try:
@@ -453,7 +455,7 @@ def test_nothing_is_left_of_a_stage_after_leaving_or_failing():
         pass
     threads, files = threading.active_count(), set(os.listdir("/proc/self/fd"))
     for fault in (None, lambda device, server: server.close(), lambda device, server: device.fall_silent()):
-        with contextlib.suppress(DeviceError), opened() as (device, server, stage):
+        with contextlib.suppress(DeviceError), opened(reply_timeout_s=REPLY_S) as (device, server, stage):
             if fault:
                 fault(device, server)
             stage.move_to_mm(0.1)
@@ -466,5 +468,5 @@ def test_nothing_is_left_of_a_stage_after_leaving_or_failing():
 def test_any_serial_port_of_pyserial_will_do():
     """A loop-back port answers with what was sent, which is no reply."""
     with pytest.raises(TimedOut):
-        ZaberStage(options("loop://"), (-1, 1)).connect()
+        ZaberStage(options("loop://", reply_timeout_s=REPLY_S), (-1, 1)).connect()
     assert serial.serial_for_url("loop://", do_not_open=True).port == "loop://"

@@ -103,7 +103,7 @@ def way(
         surface = path.surfaces[k]
         x, y, z = surface.vertex
         lean_x, lean_y, upright = surface.axis
-        glasses = surface.glass_before, surface.glass_behind
+        before, behind = surface.glass_before, surface.glass_behind
         crossings.append(
             Crossing(
                 *map(number, (x, y, z, z - reference, lean_x, lean_y, upright)),
@@ -111,7 +111,7 @@ def way(
                 curvature=surface.curvature,
                 semi_diameter=surface.semi_diameter,
                 rim_width=rims.get(k) if rims is not None else None,
-                glasses=glasses if outwards else glasses[::-1],
+                glasses=(before, behind) if outwards else (behind, before),
             )
         )
         reference = z

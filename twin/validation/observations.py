@@ -280,12 +280,13 @@ def point_spread(instrument: Instrument) -> PointSpread:
     spread = np.sum(share * slope**2, axis=(1, 2))
     heights = -np.sum(share * slope * foot, axis=(1, 2)) / spread
     du, dv = (pixels - [(cols - 1) / 2, (rows - 1) / 2]).T
-    terms = np.linalg.lstsq(np.stack([np.ones(n), du, dv, du**2 + dv**2], axis=-1), heights, rcond=None)[0]
+    surface = np.stack([np.ones(n), du, dv, du**2 + dv**2], axis=-1)
+    c, a, b, d = (float(term) for term in np.linalg.lstsq(surface, heights, rcond=None)[0])
     optics = instrument.settings.optics
     px_per_mm = optics.camera_focal_px / optics.pupil_distance_mm
     cutoff = 2 * optics.na / (optics.wavelength_um * 1e-3 * px_per_mm)
     # A disc of radius D per height has the variance D²/4 along each of two axes.
-    return PointSpread(cutoff, float(np.sqrt(2 * spread.mean())) * px_per_mm, tuple(map(float, terms)), (rows, cols))
+    return PointSpread(cutoff, float(np.sqrt(2 * spread.mean())) * px_per_mm, (c, a, b, d), (rows, cols))
 
 
 def moved_by(instrument: Instrument, serial: int, only_densest: bool = False) -> np.ndarray:

@@ -36,8 +36,8 @@ FIT_PULL = -2.0
 """How far a spot's fitted centre goes along with half the gradient of the blur's variance."""
 
 RIM_SHARE = 0.2
-"""Of that, what the interior of a spot lacks of the camera's part: 0.13 to 0.31 by the spot's size, the defocus and the
-fringes' period, for diffraction and spots of this instrument's order."""
+"""Of that, what the interior of a spot lacks of the camera's part: by computed pictures of spots, as its test has them;
+somewhat more or less by the spot's size, the defocus and the fringes' period."""
 
 _LEAST_SPOTS = 3  # for a plane
 

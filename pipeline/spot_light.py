@@ -6,7 +6,7 @@ HEART = 0.35
 """Of a spot's half axis, within which its brightness is taken: there blur hardly changes it. The contrast of a fit does
 change, by what the fit cannot follow of an edge, and so would show a gradient of light wherever blur grows."""
 
-_DEGREE = 4
+_DEGREES = (2, 3, 4)
 _SPOTS_PER_TERM = 2  # at least
 _ROUNDS = 3
 _OUTLIER = 4.0  # standard deviations, told by the median
@@ -15,9 +15,9 @@ _OUTLIER = 4.0  # standard deviations, told by the median
 def light_gradients(image: np.ndarray, centres_px: np.ndarray, axes_px: np.ndarray) -> np.ndarray | None:
     """Relative gradient (n, 2) of the light at each spot, 1/px; None where too few spots tell.
 
-    The logarithm of the brightness is taken for a polynomial of degree 4 over the picture. Diffraction carries light
-    out of a spot, more of it the smaller it is: in inverse proportion to the radius. Spots that are brighter or darker
-    than the others around them, for dirt or a flaw of the print, do not count.
+    The logarithm of the brightness is taken for a polynomial over the picture, of degree 4 where there are spots
+    enough. Diffraction carries light out of a spot, more of it the smaller it is: in inverse proportion to the radius.
+    Spots that are brighter or darker than the others around them, for dirt or a flaw of the print, do not count.
 
     Parameters
     ----------
@@ -27,9 +27,10 @@ def light_gradients(image: np.ndarray, centres_px: np.ndarray, axes_px: np.ndarr
     """
     brightness = _brightness(image, centres_px, HEART * axes_px.min(axis=1))
     used = brightness > 0
-    powers = [(i, j) for i in range(_DEGREE + 1) for j in range(_DEGREE + 1 - i)]
-    if used.sum() < _SPOTS_PER_TERM * (len(powers) + 1):
+    degrees = [d for d in _DEGREES if _SPOTS_PER_TERM * ((d + 1) * (d + 2) // 2 + 1) <= used.sum()]
+    if not degrees:
         return None
+    powers = [(i, j) for i in range(degrees[-1] + 1) for j in range(degrees[-1] + 1 - i)]
     middle, reach = centres_px[used].mean(axis=0), np.ptp(centres_px[used], axis=0).max() / 2
     x, y = ((centres_px - middle) / reach).T
     curvature = 1.0 / np.sqrt(axes_px.prod(axis=1))

@@ -62,7 +62,16 @@ def test_a_stain_counts_for_nothing():
 
 
 def test_too_few_spots_tell_nothing():
-    assert light_gradients(painted(np.random.default_rng(3)), centres()[:31], axes(31)) is None
+    assert light_gradients(painted(np.random.default_rng(3)), centres()[:13], axes(13)) is None
+
+
+@pytest.mark.parametrize("rows", [3, 5])
+def test_few_spots_tell_the_coarse_course(rows):
+    """Within a fifth of the largest gradient there is, where a polynomial of degree 4 would have too few of them."""
+    n = rows * 10
+    gradients = light_gradients(painted(np.random.default_rng(7)), centres()[:n], axes(n))
+    assert gradients is not None
+    assert np.abs(gradients - true_gradients()[:n]).max() < 4e-4
 
 
 def test_failed_fits_have_no_gradient_and_do_no_harm():

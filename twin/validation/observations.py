@@ -266,7 +266,11 @@ def point_spread(instrument: Instrument) -> PointSpread:
     As pictures of spots cannot, it is exact; the least spread of paths o + t d over the stop is at t = -cov(o, d) /
     var(d).
     """
-    rows, cols = instrument.rig_file.camera.shape
+    optics, (rows, cols) = instrument.settings.optics, instrument.rig_file.camera.shape
+    px_per_mm = optics.camera_focal_px / optics.pupil_distance_mm
+    cutoff = 2 * optics.na / (optics.wavelength_um * 1e-3 * px_per_mm)
+    if not optics.finite_aperture:
+        return PointSpread(cutoff, 0.0, (0.0, 0.0, 0.0, 0.0), (rows, cols))
     v, u = np.meshgrid(*((n - 1) * np.linspace(0.1, 0.9, FOCUS_POINTS) for n in (rows, cols)), indexing="ij")
     pixels, nodes = np.stack([u.ravel(), v.ravel()], axis=-1), instrument.edge_nodes
     n, count = len(pixels), len(nodes)
@@ -282,9 +286,6 @@ def point_spread(instrument: Instrument) -> PointSpread:
     du, dv = (pixels - [(cols - 1) / 2, (rows - 1) / 2]).T
     surface = np.stack([np.ones(n), du, dv, du**2 + dv**2], axis=-1)
     c, a, b, d = (float(term) for term in np.linalg.lstsq(surface, heights, rcond=None)[0])
-    optics = instrument.settings.optics
-    px_per_mm = optics.camera_focal_px / optics.pupil_distance_mm
-    cutoff = 2 * optics.na / (optics.wavelength_um * 1e-3 * px_per_mm)
     # A disc of radius D per height has the variance D²/4 along each of two axes.
     return PointSpread(cutoff, float(np.sqrt(2 * spread.mean())) * px_per_mm, (c, a, b, d), (rows, cols))
 

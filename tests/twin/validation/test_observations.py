@@ -11,7 +11,7 @@ from greenough.pipeline.fringes import FringeSet
 from greenough.pipeline.spots import detect_spots
 from greenough.scenes.board import blank_height, ceramic_height
 from greenough.twin.settings import twin_settings
-from greenough.twin.validation.observations import Surface, build, ellipse_centres, phase_of, spot_centres
+from greenough.twin.validation.observations import Surface, build, ellipse_centres, phase_of, point_spread, spot_centres
 
 # A part of the field on the camera's own pixels.
 PART = ["camera.rows=400", "camera.cols=480", "camera.bits=0", "twin.board.ink_thickness_um=0", "twin.light.ambient=0"]
@@ -54,6 +54,22 @@ def test_pinholes_see_what_a_pinhole_camera_projects():
     camera = CameraModel(22683.0, 22683.0, 0.0, 239.5, 199.5, 0.0, 0.0, 0.0, 0.0, (400, 480))
     expected = camera.project_circles(board.centres, board.nominal.diameters() / 2, camera_from_twin @ pose)
     np.testing.assert_allclose(spot_centres(ideal, board, pose, ideal.chief), expected, atol=1e-6)
+
+
+def test_ideal_lenses_blur_by_their_aperture_and_focus_across_their_axis():
+    px_per_mm = 22683.0 / 224.56
+    found = point_spread(instrument([*QUIET, "twin.optics.glass=false"]))
+    # The camera leans by 6 degrees: level planes cut its pencils longer, along u twice so, and its focus leans along.
+    cosine = np.cos(np.radians(6.0))
+    longer = np.sqrt((1 / cosine**2 + 1 / cosine**4) / 2)
+    assert found.defocus_px_per_mm == pytest.approx(0.015 * px_per_mm * longer, rel=5e-4)
+    height, along_u, along_v, curvature = found.focus_mm
+    assert height == pytest.approx(0.0, abs=2e-3)
+    assert abs(along_u) == pytest.approx(np.tan(np.radians(6.0)) / px_per_mm, rel=2e-2)
+    assert abs(along_v) < 1e-2 * abs(along_u)
+    assert abs(curvature) * 240**2 < 2e-3
+    pinhole = point_spread(instrument([*QUIET, "twin.optics.finite_aperture=false"]))
+    assert pinhole.disc_radius_px(np.zeros((1, 2)), np.ones(1)) == 0.0
 
 
 @pytest.fixture(scope="module")

@@ -116,7 +116,7 @@ def design(count: int) -> np.ndarray:
         return np.concatenate([blur_error(half, at), weights * moments(half), moved])
 
     # What more steps would gain is less than what the nodes do not fit anyway.
-    fit = least_squares(error, start.ravel(), bounds=(1e-3, 1 - 1e-3), max_nfev=30)
+    fit = least_squares(error, start.ravel(), bounds=(1e-3, 1 - 1e-3), max_nfev=120)
     half = np.round(fit.x.reshape(-1, DIMENSIONS), 6)
     return np.concatenate([half, 1 - half])
 

@@ -152,12 +152,12 @@ def test_the_command_ends_with_1_if_a_row_is_missing_or_falls_short(command, wan
 
 
 def test_the_start_up_has_all_its_rows(monkeypatch: pytest.MonkeyPatch) -> None:
-    uses = FirstUse(2.0, 0.5, 1.0, 3, 0), FirstUse(1.0, 0.5, 0.0, 0, 3)
+    uses = FirstUse(2.0, 0.5, 1.0, 3, 0, 0), FirstUse(1.0, 0.5, 0.0, 0, 3, 0)
     monkeypatch.setattr(startup, "first_uses", lambda *step: uses)
     monkeypatch.setattr(startup, "REPEATS", 1)
     found = startup.rows("twin", SMALL)
     assert tuple(row.name for row in found) == REQUIRED["startup"]
-    assert [row.limit for row in found if row.limit is not None] == [startup.HELP_LIMIT_S, 0, 0]
+    assert [row.limit for row in found if row.limit is not None] == [startup.HELP_LIMIT_S, 0, 0, 0, 0]
 
 
 def test_captures_have_all_their_rows(monkeypatch: pytest.MonkeyPatch) -> None:

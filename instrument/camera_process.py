@@ -3,13 +3,15 @@
 Aravis, for one, ends its process on some damaged packets. Here that is an error like any other.
 """
 
+import contextlib
 import multiprocessing
 import signal
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
-from types import TracebackType
-from typing import Any, Self
+from types import FrameType, TracebackType
+from typing import Any, NoReturn, Self
 
 from .contract import CameraNoise
 from .device_errors import ConnectionLost, TimedOut
@@ -51,17 +53,18 @@ class CameraProcess:
     InputError
         Whatever ``open_camera`` raises.
     DeviceError
-        The same; TimedOut and ConnectionLost also where the process hangs or ends.
+        The same; ConnectionLost also where the process ends, TimedOut where it hangs, a minute after the camera's own.
     """
 
     def __init__(self, open_camera: Callable[[], TriggeredCamera], name: str, frame_timeout_s: float):
         self._name, self._frame_timeout_s = name, frame_timeout_s
+        self._asked = 0  # commands so far: an answer that was not waited for is not taken for the next one's
         context = multiprocessing.get_context("spawn")
         self._connection, other = context.Pipe()
         self._process = context.Process(target=_serve, args=(other, open_camera), name=name, daemon=True)
-        self._process.start()
-        other.close()
         try:
+            with other:
+                self._process.start()
             self._fixed, self._exposure_us = self._receive("connect", _START_TIMEOUT_S)
         except BaseException:
             self._end()
@@ -141,22 +144,37 @@ class CameraProcess:
         if self._connection.closed:
             raise ConnectionLost(self._name, command, "it was closed", _REMEDY)
         try:
-            self._connection.send((command, arguments))
+            self._asked += 1
+            self._undivided(self._connection.send, (self._asked, command, arguments))
         except OSError:
             raise self._gone(command) from None
         return self._receive(command, timeout_s + _COMMAND_TIMEOUT_S)
 
     def _receive(self, command: str, timeout_s: float) -> Any:
+        deadline = time.monotonic() + timeout_s
         try:
-            if not self._connection.poll(timeout_s):
-                self._process.kill()
-                raise TimedOut(self._name, command, timeout_s, _REMEDY)
-            done, result = self._connection.recv()
+            while True:
+                if not self._connection.poll(max(0.0, deadline - time.monotonic())):
+                    self._process.kill()
+                    raise TimedOut(self._name, command, timeout_s, _REMEDY)
+                answered, done, result = self._undivided(self._connection.recv)
+                if answered == self._asked:
+                    break
         except (EOFError, OSError):
             raise self._gone(command) from None
         if not done:
             raise result
         return result
+
+    def _undivided(self, pass_on: Callable[..., Any], *message: Any) -> Any:
+        """Send or receive. An interrupt ends the process: what is left would be taken for the next message."""
+        try:
+            return pass_on(*message)
+        except (EOFError, OSError):
+            raise
+        except BaseException:
+            self._process.kill()
+            raise
 
     def _gone(self, command: str) -> ConnectionLost:
         self._process.join(_COMMAND_TIMEOUT_S)
@@ -164,6 +182,8 @@ class CameraProcess:
 
     def _end(self) -> None:
         self._connection.close()  # an idle process ends by that
+        if self._process.pid is None:
+            return  # it was interrupted before it knew what to do, and ends by that, too
         self._process.join(_COMMAND_TIMEOUT_S)
         if self._process.is_alive():
             self._process.kill()
@@ -174,25 +194,32 @@ class CameraProcess:
 def _serve(connection: Connection, open_camera: Callable[[], TriggeredCamera]) -> None:
     """The other process: commands come, and their results or errors go."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # an interrupt is up to who asks
+    signal.signal(signal.SIGTERM, _leave)
     try:
         camera = open_camera()
     except Exception as error:
-        connection.send((False, error))
+        with contextlib.suppress(OSError):  # who asked is gone
+            connection.send((0, False, error))
         return
     try:
         fixed = _Fixed(**{name: getattr(camera, name) for name in _Fixed.__dataclass_fields__})
-        connection.send((True, (fixed, camera.exposure_us)))
+        connection.send((0, True, (fixed, camera.exposure_us)))
         while True:
-            command, arguments = connection.recv()
+            number, command, arguments = connection.recv()
             try:
-                reply = True, _do(camera, command, arguments)
+                reply = number, True, _do(camera, command, arguments)
             except Exception as error:
-                reply = False, error
+                reply = number, False, error
             connection.send(reply)
     except (EOFError, OSError):
         pass  # who asked is gone
     finally:
         camera.close()
+
+
+def _leave(signal_number: int, frame: FrameType | None) -> NoReturn:
+    """End by an exception, so that the camera is let go of; else it would keep its client until a heartbeat ends."""
+    raise SystemExit(128 + signal_number)
 
 
 def _do(camera: TriggeredCamera, command: str, arguments: tuple) -> Any:

@@ -1,5 +1,6 @@
-"""The verbs of the instrument: check, record, replay."""
+"""The verbs of the instrument: check, live, record, replay."""
 
+import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -15,17 +16,75 @@ app = typer.Typer()
 
 
 @app.command()
-def check(rig: RigArgument, settings: SetOption = None, as_json: JsonOption = False) -> None:
-    """Connect to a rig and report what answers and its limits.
+def check(
+    rig: RigArgument,
+    move: Annotated[
+        bool, typer.Option("--move", help="Home the stage if need be, and drive it to both ends and back.")
+    ] = False,
+    as_it_lies: Annotated[
+        bool, typer.Option("--as-it-lies", help="Look at what lies there instead of the white side of the board.")
+    ] = False,
+    settings: SetOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Connect to a rig, and say what is wrong and what to do.
 
-    Nothing moves, and nothing is lit.
+    It reports what answers, takes a few frames and judges them, a row for each check. The projector is lit meanwhile;
+    nothing moves without --move. A recording is only described. The exit code is 1 if a row does not hold.
     """
-    from .journal import describe
+    from .errors import InputError
     from .opening import open_rig
+    from .rig_check import check_rig, describe_as_it_stands
 
     with open_rig(rig, settings or ()) as opened:
-        description = asdict(describe(opened))
-    show({**description.pop("identity"), **description}, as_json)
+        description = describe_as_it_stands(opened)
+        result = {**description.pop("identity"), **description}
+        devices, checks = opened.devices, ()
+        if devices:
+            checks = check_rig(opened, move, as_it_lies)
+            result |= {"devices": [asdict(device) for device in devices], "checks": [asdict(row) for row in checks]}
+        elif move or as_it_lies:
+            raise InputError(f"nothing of {rig} can be moved or lit: leave --move and --as-it-lies out")
+    show(result, as_json)
+    if any(row.holds is False for row in checks):
+        raise typer.Exit(1)
+
+
+@app.command()
+def live(
+    rig: RigArgument,
+    sample: Annotated[
+        str | None, typer.Option("--sample", metavar="NAME|MESHFILE", help="Part to place. [default: what lies there]")
+    ] = None,
+    exposure_us: Annotated[float | None, typer.Option(help="Exposure time. [default: the camera's]")] = None,
+    port: Annotated[int, typer.Option(help="Where the page is served on 127.0.0.1; 0 is any free port.")] = 8765,
+    rounds: Annotated[
+        int | None, typer.Option(min=1, help="End after so many rounds of five frames. [default: go on]")
+    ] = None,
+    settings: SetOption = None,
+) -> None:
+    """Show what the camera sees in a browser, for alignment.
+
+    The page has image, saturation, fringe modulation and focus, and is served to this machine alone. Ctrl-C ends it.
+    """
+    from . import live
+    from .contract import Placement
+    from .errors import InputError
+    from .opening import open_rig
+
+    rig_to_open, view = open_rig(rig, settings or ()), live.View()
+    with live.serving(view, port) as address:
+        print(f"greenough: {address} shows what the camera sees; Ctrl-C ends it", file=sys.stderr)
+        try:
+            with rig_to_open as opened:
+                if exposure_us is not None:
+                    opened.camera.exposure_us = exposure_us
+                if sample is not None:
+                    opened.operator.place(Placement(sample))
+                live.watch(opened, view, rounds)
+        except InputError as error:  # the light is off by now
+            view.fail(str(error))
+            raise
 
 
 @app.command()

@@ -167,6 +167,16 @@ class RigIdentity:
     settings_sha256: str
 
 
+@dataclass(frozen=True)
+class DeviceReport:
+    """A device that answers, as it says itself; ``firmware`` is empty where it does not say."""
+
+    role: Literal["projector", "camera", "stage"]
+    name: str
+    identity: str
+    firmware: str
+
+
 class Camera(Protocol):
     """A monochrome camera."""
 
@@ -228,6 +238,11 @@ class Rig(Protocol):
 
     @property
     def identity(self) -> RigIdentity: ...
+
+    @property
+    def devices(self) -> tuple[DeviceReport, ...]:
+        """Which devices answer, as they say themselves; none in a replay."""
+        ...
 
     @property
     def board(self) -> SpotBoard: ...

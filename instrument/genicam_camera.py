@@ -175,7 +175,8 @@ class GenicamCamera:
         Raises
         ------
         TimedOut
-            When no frame comes within its exposure time and ``frame_timeout_s``, or the camera does not answer.
+            When no frame comes within its exposure time and ``frame_timeout_s``, or the camera does not answer. With a
+            camera that answers nothing the error comes up to ``REPLY_TIMEOUT_S`` later, for letting go of the stream.
         Fault
             When the frame is incomplete, another one is missing before it, or it is not what was set.
         """

@@ -164,8 +164,7 @@ class LightCrafter:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, traceback: object) -> None:
         """Make it dark and disconnect. Raises DeviceError when it may still be lit and nothing else was raised."""
         try:
-            if not self._dark:
-                self._stop_anyhow()
+            self.darken()
         except DeviceError as failure:
             if error is None:
                 raise
@@ -323,14 +322,15 @@ class LightCrafter:
             raise
 
     def _darken_after_failure(self) -> None:
-        if not self._dark:
-            try:
-                self._stop_anyhow()
-            except DeviceError as failure:
-                _LOG.warning("%s", failure)
+        try:
+            self.darken()
+        except DeviceError as failure:
+            _LOG.warning("%s", failure)
 
-    def _stop_anyhow(self) -> None:
-        """Stop, over a new connection where there is none, which is closed again."""
+    def darken(self) -> None:
+        """Make it dark if it may be lit: over a new connection where there is none, which is closed again."""
+        if self._dark:
+            return
         if self._link.is_open:
             self._link.write(Command.START_STOP, b"\0")
         else:

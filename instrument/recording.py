@@ -17,6 +17,7 @@ from . import hdf5
 from .contract import (
     Camera,
     CameraNoise,
+    DeviceReport,
     Frames,
     KnownUncertainty,
     Operator,
@@ -125,6 +126,10 @@ class _RecordedRig:
     @property
     def identity(self) -> RigIdentity:
         return self._rig.identity
+
+    @property
+    def devices(self) -> tuple[DeviceReport, ...]:
+        return self._rig.devices
 
     @property
     def board(self) -> SpotBoard:

@@ -12,7 +12,7 @@ from typing import Generic, Self, TypeVar
 import numpy as np
 
 from . import hdf5
-from .contract import CameraNoise, Frames, KnownUncertainty, Placement, Procedure, RigIdentity, SpotBoard
+from .contract import CameraNoise, DeviceReport, Frames, KnownUncertainty, Placement, Procedure, RigIdentity, SpotBoard
 from .errors import InputError
 from .journal import (
     KIND,
@@ -100,6 +100,10 @@ class Replay:
     @property
     def identity(self) -> RigIdentity:
         return self._description.identity
+
+    @property
+    def devices(self) -> tuple[DeviceReport, ...]:
+        return ()
 
     @property
     def board(self) -> SpotBoard:

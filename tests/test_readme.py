@@ -4,6 +4,9 @@ import doctest
 import glob
 import re
 import shlex
+import signal
+import subprocess
+import sys
 from collections.abc import Callable, Sequence
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -13,6 +16,7 @@ import h5py
 import numpy as np
 import pytest
 import trimesh
+from emulated_gige import free_address, need_aravis
 
 from greenough.instrument.command import GROUP, run
 from greenough.twin.validation.studies import builtin_studies
@@ -31,10 +35,11 @@ def blocks(language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```$", README.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
 
 
-def command(line: str) -> int:
+def command(line: str, *settings: str) -> int:
     words = [name for word in shlex.split(line)[1:] for name in (sorted(glob.glob(word)) if "*" in word else [word])]
-    coarse = [word for setting in COARSE for word in ("--set", setting)] if "twin" in words else []
-    return run([*words, *coarse], entry_points(group=GROUP))
+    coarse = COARSE if {"twin", "wire"} & set(words) else ()
+    more = [word for setting in (*coarse, *settings) for word in ("--set", setting)]
+    return run([*words, *more], entry_points(group=GROUP))
 
 
 def dome() -> trimesh.Trimesh:
@@ -100,6 +105,31 @@ def test_examples_run_in_the_order_of_the_page_and_the_commands_with_them(folder
     runner.run(examples, out=report.append)
     assert runner.failures == 0, "".join(report)
     assert runner.tries == len(examples.examples) > 25
+
+
+def test_devices_behind_wires_are_checked_calibrated_and_measured_with(folder, monkeypatch, capsys):
+    need_aravis()
+    monkeypatch.chdir(folder)
+    host = free_address()  # in place of 127.0.0.1, where something else may listen
+    settings = [f'lightcrafter.host="{host}"', f'zaber.port="socket://{host}:21846"', f'genicam.address="{host}"']
+    settings.append(f'operator.address="{host}:21847"')
+    serve, *lines = "".join(blocks("bash")).splitlines()
+    assert [line.split()[1] for line in lines] == ["check", "live", "calibrate", "measure"]
+    arguments = [word for setting in (*COARSE, *settings) for word in ("--set", setting)]
+    server = [Path(sys.executable).with_name("greenough"), *shlex.split(serve)[1:], "--json", *arguments]
+    with subprocess.Popen(server, stdout=subprocess.PIPE, text=True) as served:
+        try:
+            assert served.stdout is not None
+            assert any(line == "}\n" for line in iter(served.stdout.readline, "")), "it listens"
+            for line in lines:
+                ending = " --rounds 2 --port 0" if "live" in line else ""
+                assert command(line + ending, *settings) == 0, f"{line}\n{capsys.readouterr().err}"
+        finally:
+            served.send_signal(signal.SIGINT)
+    assert served.returncode == 0
+    points = trimesh.load("wire-coin.ply").vertices
+    assert len(points) > 10_000
+    assert abs(np.median(points[:, 2])) < 0.2  # mm
 
 
 def cost_figures(runs: list[str]) -> Callable[..., list[dict[str, float | str]]]:

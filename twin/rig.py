@@ -10,6 +10,7 @@ import numpy as np
 
 from greenough.instrument.contract import (
     CameraNoise,
+    DeviceReport,
     Frames,
     KnownUncertainty,
     Placement,
@@ -131,6 +132,15 @@ class TwinRig:
         return self._rig_file.identity(f"TWIN-CAMERA-{seed}", f"TWIN-PROJECTOR-{seed}")
 
     @property
+    def devices(self) -> tuple[DeviceReport, ...]:
+        identity = self.identity
+        return (
+            DeviceReport("projector", "projector of the twin", identity.projector_serial, ""),
+            DeviceReport("camera", "camera of the twin", identity.camera_serial, ""),
+            DeviceReport("stage", "stage of the twin", f"TWIN-STAGE-{self._settings.seed}", ""),
+        )
+
+    @property
     def board(self) -> SpotBoard:
         return self._rig_file.board.nominal
 
@@ -150,23 +160,7 @@ class TwinRig:
         """
         check_patterns(patterns, self.projector.shape)
         exposure_us = self.camera.exposure_us
-        photons = self._settings.light.white_photons_per_ms * exposure_us * 1e-3
-        white = self._settings.camera.quantum_efficiency * photons  # in electrons
-        serials = self._serial + np.arange(len(patterns), dtype=np.int64)
-        optics, changes = self._settings.optics, self._instability
-        self._workbench.drift = changes.table_drift(self._serial)
-        motion = changes.vibration(serials) + self._workbench.drift
-        sideways = [[changes.path_drift(self._serial) / (optics.column_pitch_um * 1e-3), 0.0]]
-        drifted = mirrors_passed(optics, self._workbench.drift[None]) + sideways
-        images = self._renderer.radiance(patterns, mirrors_passed(optics, motion) + sideways, drifted[0])
-        moved = pixels_passed(optics, motion)
-        ambient = dr.opaque(mi.Float, self._settings.light.ambient * white)  # one kernel for all exposure times
-        brightness = np.pi * white * changes.flicker(serials)
-        electrons = [
-            displaced(image, self.camera.shape, shift) * dr.opaque(mi.Float, float(factor)) + ambient
-            for image, shift, factor in zip(images, moved, brightness, strict=True)
-        ]
-        stack = expose(electrons, self._sensor, self._settings.seed, self._run, self._serial)
+        stack = self.expose(patterns, exposure_us, self._serial, began=self._serial)
         n = len(patterns)
         period_s = (exposure_us + BLANKING_US) * 1e-6
         frames = Frames(
@@ -176,13 +170,58 @@ class TwinRig:
             exposure_us=exposure_us,
             gain_db=0.0,
             stage_position_mm=self.stage.position_mm,
-            serials=serials,
+            serials=self._serial + np.arange(n, dtype=np.int64),
             times_s=self._clock_s + np.arange(n) * period_s,
             run=self._run,
         )
         self._serial += n
         self._clock_s += n * period_s
         return frames
+
+    def expose(
+        self, patterns: np.ndarray, exposure_us: float, serial: int, began: int, lamp: float = 1.0
+    ) -> np.ndarray:
+        """Grey values (N, rows, cols) of one exposure per pattern, and nothing else: neither counter nor clock go on.
+
+        A frame is the same whether it is exposed alone or together with others of its capture.
+
+        Parameters
+        ----------
+        patterns : (N, rows, cols) uint8
+            Of the projector's shape.
+        exposure_us : float
+        serial : int
+            Of the first of these exposures in the run.
+        began : int
+            Of the first exposure of the capture that they belong to: in one capture nothing drifts.
+        lamp : float
+            Light of the projector, relative to what the rig file states. Without any nothing need be mounted.
+
+        Raises
+        ------
+        InputError
+            When nothing is mounted.
+        """
+        photons = self._settings.light.white_photons_per_ms * exposure_us * 1e-3
+        white = self._settings.camera.quantum_efficiency * photons  # in electrons
+        serials = serial + np.arange(len(patterns), dtype=np.int64)
+        optics, changes = self._settings.optics, self._instability
+        self._workbench.drift = changes.table_drift(began)
+        motion = changes.vibration(serials) + self._workbench.drift
+        sideways = [[changes.path_drift(began) / (optics.column_pitch_um * 1e-3), 0.0]]
+        drifted = mirrors_passed(optics, self._workbench.drift[None]) + sideways
+        if lamp > 0:
+            images = self._renderer.radiance(patterns, mirrors_passed(optics, motion) + sideways, drifted[0])
+        else:
+            images = [dr.zeros(mi.Float, self.camera.shape[0] * self.camera.shape[1])] * len(patterns)
+        moved = pixels_passed(optics, motion)
+        ambient = dr.opaque(mi.Float, self._settings.light.ambient * white)  # one kernel for all exposure times
+        brightness = np.pi * white * lamp * changes.flicker(serials)
+        electrons = [
+            displaced(image, self.camera.shape, shift) * dr.opaque(mi.Float, float(factor)) + ambient
+            for image, shift, factor in zip(images, moved, brightness, strict=True)
+        ]
+        return expose(electrons, self._sensor, self._settings.seed, self._run, serial)
 
     def irradiance(self, patterns: np.ndarray) -> np.ndarray:
         """What the camera is exposed to: radiance of all patterns before any noise, (N, rows, cols) float32.

@@ -1,15 +1,20 @@
 """A rig small enough to reason about, and the rigs that the conformance suite runs over."""
 
 import hashlib
-from collections.abc import Callable
+import itertools
+from collections.abc import Callable, Iterator
+from importlib import resources
 from typing import Self
 
 import numpy as np
 import pytest
+from emulated_gige import free_address, need_aravis
+from substituted_uvc import SubstitutedUvc
 
-from greenough.instrument import open_rig
+from greenough.instrument import hardware_rig, open_rig
 from greenough.instrument.contract import (
     CameraNoise,
+    DeviceReport,
     Frames,
     KnownUncertainty,
     Placement,
@@ -20,6 +25,12 @@ from greenough.instrument.contract import (
 )
 from greenough.instrument.errors import InputError
 from greenough.instrument.limits import check_patterns, check_within
+from greenough.instrument.rigfile import CameraSection, load_rig_file
+from greenough.instrument.uvc_camera import UvcCamera, UvcSettings
+from greenough.twin.wire.emulated_rig import EmulatedRig
+from greenough.twin.wire.twin_scene import TwinScene
+
+FEW_PIXELS = ("camera.rows=48", "camera.cols=64")
 
 PARTS = {"board": 0.9, "coin": 0.4}
 
@@ -75,6 +86,7 @@ class FakeRig:
     board = SpotBoard(3, 3, 0.65, 0.4, 0.175, 2.0, ((1, 1), (1, 2), (0, 1)))
     procedure = Procedure((8.0, 4.0), (4, 4), 6, 5, 0.1, 0.8, (4.0, 1.0))
     uncertainty = KnownUncertainty(3e-5, 5e-4, 5e-5)
+    devices = (DeviceReport("camera", "fake camera", "camera-7", "1.0"),)
 
     def __init__(self, dtype: type = np.uint8, seed: int = 1) -> None:
         self.identity = RigIdentity("fake", "camera-7", "projector-3", hashlib.sha256(b"fake").hexdigest())
@@ -125,13 +137,50 @@ def fake_rig() -> type[FakeRig]:
 
 def small_twin() -> Rig:
     """The twin with few pixels; its optics stay, so it sees the middle of the field."""
-    return open_rig("twin", ["camera.rows=48", "camera.cols=64"])
+    return open_rig("twin", FEW_PIXELS)
 
 
-@pytest.fixture(params=[FakeRig, small_twin], ids=["fake", "twin"])
+@pytest.fixture(scope="session")
+def small_bench() -> Iterator[tuple[EmulatedRig, list[str]]]:
+    """The same twin behind emulated devices, which stay switched on, and the settings by which drivers find them."""
+    overrides = [*FEW_PIXELS, f'genicam.address="{free_address()}"']
+    rig_file = load_rig_file("wire", overrides)
+    with EmulatedRig(rig_file, TwinScene(rig_file), free_ports=True, homed=True) as emulated:
+        yield emulated, [*overrides, *emulated.overrides]
+
+
+@pytest.fixture(scope="session")
+def small_wire(small_bench: tuple[EmulatedRig, list[str]]) -> Callable[[], Rig]:
+    """Through the drivers, with a GenICam camera."""
+    need_aravis()
+    return lambda: open_rig("wire", small_bench[1])
+
+
+@pytest.fixture(scope="session")
+def small_uvc(
+    small_bench: tuple[EmulatedRig, list[str]], tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Callable[[], Rig]]:
+    """Through the drivers, with a UVC camera whose capture and controls are substituted."""
+    emulated, overrides = small_bench
+    path = tmp_path_factory.mktemp("rigs") / "uvc.toml"
+    text = (resources.files("greenough.instrument") / "rigs/wire.toml").read_text()
+    camera = "[uvc]\ndevice = '/dev/video9'\nframe_timeout_s = 300.0\nreadout_s = 0.0\n"
+    path.write_text(text.partition("[genicam]")[0] + camera + "[operator]" + text.partition("[operator]")[2])
+    numbers = itertools.count(10**6, 10**4)  # of exposures that no other camera takes
+
+    def open_substituted(section: CameraSection, settings: UvcSettings) -> UvcCamera:
+        layers = SubstitutedUvc(emulated.picture, next(numbers))
+        return UvcCamera(section, settings, layers, layers)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(hardware_rig, "open_uvc_camera", open_substituted)
+        yield lambda: open_rig(path, [setting for setting in overrides if "genicam" not in setting])
+
+
+@pytest.fixture(params=[FakeRig, small_twin, "small_wire", "small_uvc"], ids=["fake", "twin", "wire", "uvc"])
 def open_some_rig(request: pytest.FixtureRequest) -> Callable[[], Rig]:
     """Every rig that must keep the contract; each call opens it afresh."""
-    return request.param
+    return request.getfixturevalue(request.param) if isinstance(request.param, str) else request.param
 
 
 @pytest.fixture

@@ -211,7 +211,7 @@ def test_the_installed_command_answers() -> None:
     command = Path(sys.executable).parent / "greenough"
     done = subprocess.run([command, "check", "no-such-rig"], capture_output=True, text=True)
     assert done.returncode == 2
-    assert "greenough: no rig no-such-rig: give a built-in name (twin) or the path of a rig file\n" in done.stderr
+    assert "greenough: no rig no-such-rig: give a built-in name (paper, twin, wire) or the path of a rig file\n" in done.stderr
 
 
 CHOSEN = """

@@ -39,7 +39,7 @@ def source(tmp_path: Path, fake_rig, patterns) -> Path:
     return path
 
 
-def test_check_reports_identity_and_limits(greenough, source: Path) -> None:
+def test_check_of_a_recording_reports_identity_and_limits(greenough, source: Path) -> None:
     code, result, errors = greenough("check", source, "--json")
     assert (code, errors) == (0, "")
     assert result["name"] == "fake"
@@ -50,6 +50,8 @@ def test_check_reports_identity_and_limits(greenough, source: Path) -> None:
     assert code == 0
     assert "stage_limits_mm" in text
     assert "-1.6, 1.6" in text
+    assert "checks" not in result
+    assert "devices" not in result
 
 
 def test_record_writes_what_the_rig_showed(greenough, source: Path, tmp_path: Path, patterns) -> None:
@@ -93,6 +95,8 @@ def test_bad_input_is_refused_and_leaves_nothing(greenough, source: Path, tmp_pa
     cases = [
         (["check", tmp_path / "absent.toml"], "no rig"),
         (["check", source, "--set", "twin.seed=2"], "cannot be changed"),
+        (["check", source, "--move"], "nothing of"),
+        (["check", source, "--as-it-lies"], "can be moved or lit"),
         (["record", source, "--out", tmp_path / "out.toml", *good], "must end in .h5"),
         (["record", source, "--out", out, "--patterns", tmp_path / "wrong.npy", "--sample", "board"], "takes uint8"),
         (["record", source, "--out", out, "--patterns", tmp_path / "text.npy", "--sample", "board"], "cannot be read"),

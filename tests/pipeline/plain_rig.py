@@ -53,6 +53,7 @@ class PlainRig:
     ):
         self.identity = RigIdentity("plain", "camera 1", "projector 1", f"{seed:064x}")
         self.board, self.procedure, self.uncertainty = BOARD, procedure, UNCERTAINTY
+        self.devices = ()
         self.camera = SimpleNamespace(
             shape=SHAPE,
             full_scale_dn=255.0,

@@ -53,11 +53,14 @@ class Trigger:
         Of the triggers since the camera was switched on, from 0.
     exposure_us, gain_db : float
         As they were set when the trigger came.
+    first : int
+        Number of the first trigger of the same acquisition.
     """
 
     number: int
     exposure_us: float
     gain_db: float
+    first: int = 0
 
 
 @dataclass(frozen=True)
@@ -105,7 +108,7 @@ class GigeCamera:
         self._controller: tuple[str, int] | None = None
         self._heard_s = 0.0
         self._streaming = False
-        self._triggers = 0
+        self._triggers = self._first_trigger = 0
         self._blocks = 0
         self._exposures: queue.Queue[_Exposure] = queue.Queue(_TRIGGERS_WAITING)
         self._sent: deque[SentFrame] = deque(maxlen=_FRAMES_KEPT)
@@ -127,6 +130,11 @@ class GigeCamera:
     def triggers(self) -> int:
         """How many were taken since the camera was switched on."""
         return self._triggers
+
+    @property
+    def is_controlled(self) -> bool:
+        """Whether a client has control, or is still taken to have it."""
+        return self._controller is not None
 
     def __enter__(self) -> Self:
         self._control = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -254,7 +262,8 @@ class GigeCamera:
             case reg.ACQUISITION:
                 self._streaming = bool(value)
                 if value:
-                    self._blocks = 0
+                    self._blocks, self._first_trigger = 0, self._triggers
+                    self._sent.clear()  # numbers begin anew: packets of older frames must not be taken for new ones
             case reg.TRIGGER_SOFTWARE:
                 self._take_trigger()
 
@@ -274,7 +283,8 @@ class GigeCamera:
         read = self._registers.u32
         top, left = read(reg.OFFSET_Y), read(reg.OFFSET_X)
         region = slice(top, top + read(reg.HEIGHT)), slice(left, left + read(reg.WIDTH))
-        trigger = Trigger(self._triggers, self._registers.f64(reg.EXPOSURE_US), self._registers.f64(reg.GAIN_DB))
+        exposure_us, gain_db = self._registers.f64(reg.EXPOSURE_US), self._registers.f64(reg.GAIN_DB)
+        trigger = Trigger(self._triggers, exposure_us, gain_db, self._first_trigger)
         try:
             self._exposures.put_nowait(_Exposure(trigger, time.monotonic_ns(), region))
         except queue.Full:

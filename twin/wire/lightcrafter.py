@@ -8,6 +8,7 @@ from collections.abc import Callable
 from enum import Enum, auto
 from typing import Self
 
+from greenough.instrument.errors import InputError
 from greenough.instrument.lightcrafter_commands import ErrorCode
 from greenough.instrument.lightcrafter_packets import (
     MAX_PACKET,
@@ -163,14 +164,14 @@ class LightCrafterServer:
     port : int
         0 for any that is free; see ``port``.
     faults : Faults
-        What goes wrong.
+        What goes wrong; an attribute of the same name may be set at any time.
     allow_remote : bool
         Take another address than loopback.
 
     Raises
     ------
     InputError
-        For an address that others can reach, unless ``allow_remote``.
+        For an address that others can reach, unless ``allow_remote``, and on entering for one that is taken.
     """
 
     def __init__(
@@ -183,7 +184,7 @@ class LightCrafterServer:
     ) -> None:
         check_loopback(host, allow_remote)
         self.device = device
-        self._faults = faults
+        self.faults = faults
         self._address = (host, port)
         self._clients: dict[socket.socket, tuple[Dialogue, bytes]] = {}  # and what is still to be sent
 
@@ -193,7 +194,13 @@ class LightCrafterServer:
         return self._listener.getsockname()[1]
 
     def __enter__(self) -> Self:
-        self._listener = socket.create_server(self._address)
+        try:
+            self._listener = socket.create_server(self._address)
+        except OSError as error:
+            raise InputError(
+                "the emulated LightCrafter cannot listen on {} port {} ({}): end what listens there, or give another "
+                "port".format(*self._address, (error.strerror or "").lower())
+            ) from None
         self._listener.setblocking(False)
         self._waker, self._woken = socket.socketpair()
         self._selector = selectors.DefaultSelector()
@@ -234,7 +241,7 @@ class LightCrafterServer:
             return
         client.setblocking(False)
         client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._clients[client] = Dialogue(self.device, self._faults), b""
+        self._clients[client] = Dialogue(self.device, lambda request: self.faults(request)), b""
         self._selector.register(client, selectors.EVENT_READ)
 
     def _attend(self, client: socket.socket) -> None:

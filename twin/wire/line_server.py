@@ -14,6 +14,7 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Protocol, Self
 
+from greenough.instrument.errors import InputError
 from greenough.instrument.zaber_messages import LineBuffer
 
 from .loopback import check_loopback
@@ -70,18 +71,18 @@ class LineServer:
     Parameters
     ----------
     device : LineDevice
-    host : str
-        Address to listen on.
+    host, port : str, int
+        Address to listen on; port 0 is any that is free.
     allow_remote : bool
         Whether it may be another than of loopback.
 
     Raises
     ------
     InputError
-        When ``host`` is not allowed.
+        When ``host`` is not allowed, or the port is taken.
     """
 
-    def __init__(self, device: LineDevice, host: str = "127.0.0.1", allow_remote: bool = False):
+    def __init__(self, device: LineDevice, host: str = "127.0.0.1", port: int = 0, allow_remote: bool = False):
         check_loopback(host, allow_remote)
         self._device = device
         self._closing = False
@@ -93,7 +94,13 @@ class LineServer:
             family = socket.AF_INET6 if ":" in host else socket.AF_INET
             self._listener = opened.enter_context(socket.socket(family, socket.SOCK_STREAM))
             self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            self._listener.bind((host, 0))
+            try:
+                self._listener.bind((host, port))
+            except OSError as error:
+                raise InputError(
+                    f"the emulated device cannot listen on {host} port {port} ({(error.strerror or '').lower()}): end "
+                    "what listens there, or give another port"
+                ) from None
             self._listener.listen(_CLIENTS)
             self._listener.setblocking(False)
             self._wake, self._woken = socket.socketpair()

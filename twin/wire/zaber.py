@@ -129,6 +129,11 @@ class ZaberDevice:
         self._tell(position)
         return alerts
 
+    def reference(self) -> None:
+        """Be homed, and where it is: as if it had been homed by somebody before."""
+        with self._lock:
+            self._referenced()
+
     # Faults. Each takes effect at once or with the next command.
 
     def at_message(self, number: int, fault: Callable[[], None]) -> None:

@@ -3,7 +3,7 @@
 from greenough.twin.validation.negative_controls import negative_controls
 
 COARSE = (
-    "camera.rows=360", "camera.cols=480", "twin.optics.camera_focal_px=8506.125", "twin.render.nodes_edges=16",
+    "camera.rows=480", "camera.cols=640", "twin.optics.camera_focal_px=11341.5",
     "procedure.planes=10", "procedure.plane_step_mm=0.3",
 )  # fmt: skip
 

@@ -16,7 +16,7 @@ from greenough.twin.validation.negative_controls import SCALE_TOLERANCE, control
 GAMMA_RMSE_UM = 17.0
 SOUND = {
     "step_2500um": (0.1, 0.5), "pitch_second_board_error_mean_all_spots": (0.02, 0.1),
-    "pitch_second_board_mean_all_spots": (0.65002, 0.0015), "plane_structure": (0.0, 0.5),
+    "pitch_second_board_mean_all_spots": (0.65002, 0.0015),
     "plane_noise_ratio": (1.0, 0.05), "plane_rmse_raw": (3.5, 1.223), "depth_systematic_rms": (0.2, 0.5),
     "depth_systematic_p99": (0.5, 1.5), "stages_within_4um": (1.0, 0.95),
 }  # fmt: skip
@@ -43,7 +43,7 @@ def planted(setting: str) -> dict[str, float]:
             "pitch_second_board_mean_all_spots": 0.65002 * (1 + shorter),
         }
     if name == "twin.optics.gamma":
-        return {"plane_structure": 1.2, "plane_noise_ratio": 5.0, "plane_rmse_raw": GAMMA_RMSE_UM}
+        return {"plane_noise_ratio": 5.0, "plane_rmse_raw": GAMMA_RMSE_UM}
     return {}
 
 
@@ -80,7 +80,7 @@ def test_rows_that_turn_red_are_as_expected_for_all_four_errors(monkeypatch):
 @pytest.mark.parametrize(
     ("name", "green"),
     [
-        ("step_2500um", 0.3), ("pitch_second_board_error_mean_all_spots", 0.05), ("plane_structure", 0.4),
+        ("step_2500um", 0.3), ("pitch_second_board_error_mean_all_spots", 0.05),
         ("plane_noise_ratio", 1.03), ("depth_systematic_rms", 0.4), ("stages_within_4um", 0.97),
     ],
 )  # fmt: skip
@@ -89,8 +89,8 @@ def test_a_row_that_stays_green_is_unexpected(monkeypatch, name, green):
 
 
 def test_a_row_that_is_red_without_the_error_proves_nothing(monkeypatch):
-    monkeypatch.setitem(SOUND, "plane_structure", (0.7, 0.5))
-    assert unexpected(figures(monkeypatch)) == {("gamma of 1.8", "plane_structure")}
+    monkeypatch.setitem(SOUND, "plane_noise_ratio", (1.1, 0.05))
+    assert unexpected(figures(monkeypatch)) == {("gamma of 1.8", "plane_noise_ratio")}
 
 
 @pytest.mark.parametrize(("share", "expected"), [(0.9, True), (1.1, False), (-1.1, False)])

@@ -59,6 +59,7 @@ class CameraProcess:
     def __init__(self, open_camera: Callable[[], TriggeredCamera], name: str, frame_timeout_s: float):
         self._name, self._frame_timeout_s = name, frame_timeout_s
         self._asked = 0  # commands so far: an answer that was not waited for is not taken for the next one's
+        self._closed = False
         context = multiprocessing.get_context("spawn")
         self._connection, other = context.Pipe()
         self._process = context.Process(target=_serve, args=(other, open_camera), name=name, daemon=True)
@@ -123,8 +124,9 @@ class CameraProcess:
 
     def close(self) -> None:
         """Close the camera and end its process, also one that hangs or is gone; a second call does nothing."""
-        if self._connection.closed:
+        if self._closed:
             return
+        self._closed = True
         try:
             self._ask("close")
         except (ConnectionLost, TimedOut):
@@ -142,7 +144,7 @@ class CameraProcess:
 
     def _ask(self, command: str, *arguments: Any, timeout_s: float = 0.0) -> Any:
         if self._connection.closed:
-            raise ConnectionLost(self._name, command, "it was closed", _REMEDY)
+            raise ConnectionLost(self._name, command, "it was closed or interrupted", _REMEDY)
         try:
             self._asked += 1
             self._undivided(self._connection.send, (self._asked, command, arguments))
@@ -167,13 +169,16 @@ class CameraProcess:
         return result
 
     def _undivided(self, pass_on: Callable[..., Any], *message: Any) -> Any:
-        """Send or receive. An interrupt ends the process: what is left would be taken for the next message."""
+        """Send or receive. An interrupt hangs up: what is left would be taken for the next message.
+
+        The process lets go of the camera then and ends; killed, it would leave it taken until a heartbeat ends.
+        """
         try:
             return pass_on(*message)
         except (EOFError, OSError):
             raise
         except BaseException:
-            self._process.kill()
+            self._connection.close()
             raise
 
     def _gone(self, command: str) -> ConnectionLost:

@@ -15,8 +15,6 @@ import numpy as np
 from .camera_process import CameraProcess
 from .console_operator import ConsoleOperator
 from .contract import (
-    Camera,
-    CameraNoise,
     DeviceReport,
     Frames,
     KnownUncertainty,
@@ -30,9 +28,9 @@ from .errors import InputError
 from .genicam_camera import GenicamCamera, GenicamSettings
 from .hardware_settings import HardwareSettings, hardware_settings
 from .lightcrafter import LightCrafter, in_batches
-from .limits import check_patterns, check_within
+from .limits import check_patterns
 from .remote_operator import RemoteOperator
-from .rigfile import RigFile
+from .rigfile import CameraSection, RigFile
 from .triggered_camera import Shot, TriggeredCamera
 from .uvc_camera import open_uvc_camera
 from .zaber_stage import ZaberStage
@@ -73,12 +71,12 @@ class HardwareRig:
             if settings.operator.kind == "console"
             else RemoteOperator(settings.operator.host_and_port, settings.operator.wait_s)
         )
-        self._triggered: TriggeredCamera | None = None
+        self._camera: TriggeredCamera | None = None
         self._opened_s = 0.0
 
     @property
     def identity(self) -> RigIdentity:
-        camera = self._device.identity
+        camera = self.camera.identity
         serial = camera.serial or f"{camera.vendor} {camera.model}".strip()
         # A LightCrafter has no serial number to ask for.
         return self._rig_file.identity(serial, f"LightCrafter with {self._projector.versions.dm365}")
@@ -86,7 +84,7 @@ class HardwareRig:
     @property
     def devices(self) -> tuple[DeviceReport, ...]:
         """What answers, as it says itself."""
-        projector, camera, stage = self._settings.lightcrafter, self._device.identity, self.stage.identity
+        projector, camera, stage = self._settings.lightcrafter, self.camera.identity, self.stage.identity
         versions = self._projector.versions
         reports = [
             DeviceReport(
@@ -120,8 +118,10 @@ class HardwareRig:
         return self._rig_file.uncertainty.contract
 
     @property
-    def camera(self) -> Camera:
-        return _LitCamera(self._device, self._projector)
+    def camera(self) -> TriggeredCamera:
+        if self._camera is None:
+            raise RuntimeError("a rig of devices works inside its context only: with open_rig(...) as rig")
+        return self._camera
 
     @property
     def projector(self) -> LightCrafter:
@@ -138,7 +138,7 @@ class HardwareRig:
             When a device fails, or the stage does not stand still meanwhile. It is dark then, and there are no frames.
         """
         check_patterns(patterns, self._projector.shape)
-        camera, stage_mm = self._device, self.stage.position_mm
+        camera, stage_mm = self.camera, self.stage.position_mm
         try:
             camera.arm()
             shots = [shot for batch in in_batches(patterns) for shot in self._expose(camera, batch)]
@@ -195,8 +195,9 @@ class HardwareRig:
         with ExitStack() as opened:
             opened.enter_context(self._projector)
             opened.enter_context(self.stage)
-            self._triggered = open_camera(self._rig_file, self._settings)
-            opened.callback(self._triggered.close)
+            section = _exposed_as_shown(self._rig_file.camera, self._projector.exposure_limits_us)
+            self._camera = open_camera(section, self._settings)
+            opened.callback(self._camera.close)
             self._opened_s = time.monotonic()
             self._opened = opened.pop_all()
         return self
@@ -204,22 +205,27 @@ class HardwareRig:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None, /
     ) -> None:
-        self._triggered = None
+        self._camera = None
         self._opened.__exit__(kind, error, traceback)
 
-    @property
-    def _device(self) -> TriggeredCamera:
-        if self._triggered is None:
-            raise RuntimeError("a rig of devices works inside its context only: with open_rig(...) as rig")
-        return self._triggered
+
+def _exposed_as_shown(section: CameraSection, projector_us: tuple[float, float]) -> CameraSection:
+    """The camera, exposed no shorter and no longer than the projector can show a pattern; InputError if it cannot."""
+    low, high = max(section.exposure_min_us, projector_us[0]), min(section.exposure_max_us, projector_us[1])
+    if low > high:
+        raise InputError(
+            f"the projector shows a pattern for {projector_us[0]:g} to {projector_us[1]:g} us, the rig file allows "
+            f"exposures of {section.exposure_min_us:g} to {section.exposure_max_us:g} us: change "
+            "camera.exposure_min_us and exposure_max_us."
+        )
+    return section.model_copy(update={"exposure_min_us": low, "exposure_max_us": high})
 
 
-def open_camera(rig_file: RigFile, settings: HardwareSettings) -> TriggeredCamera:
+def open_camera(section: CameraSection, settings: HardwareSettings) -> TriggeredCamera:
     """The rig file's camera; a GenICam one in a process of its own, which its library may end.
 
     Raises InputError and DeviceError as the drivers do.
     """
-    section = rig_file.camera
     if isinstance(settings.camera, GenicamSettings):
         opener = partial(GenicamCamera, section, settings.camera)
         return CameraProcess(opener, _camera_name(settings), settings.camera.frame_timeout_s)
@@ -229,41 +235,3 @@ def open_camera(rig_file: RigFile, settings: HardwareSettings) -> TriggeredCamer
 def _camera_name(settings: HardwareSettings) -> str:
     camera = settings.camera
     return f"camera at {camera.address if isinstance(camera, GenicamSettings) else camera.device}"
-
-
-class _LitCamera:
-    """The camera as the contract has it: exposed no shorter and no longer than the projector can show a pattern."""
-
-    def __init__(self, camera: TriggeredCamera, projector: LightCrafter):
-        self._camera, self._projector = camera, projector
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        return self._camera.shape
-
-    @property
-    def full_scale_dn(self) -> float:
-        return self._camera.full_scale_dn
-
-    @property
-    def black_level_dn(self) -> float:
-        return self._camera.black_level_dn
-
-    @property
-    def noise(self) -> CameraNoise:
-        return self._camera.noise
-
-    @property
-    def exposure_limits_us(self) -> tuple[float, float]:
-        """What camera, projector and rig file allow."""
-        lows, highs = zip(self._camera.exposure_limits_us, self._projector.exposure_limits_us, strict=True)
-        return max(lows), min(highs)
-
-    @property
-    def exposure_us(self) -> float:
-        return self._camera.exposure_us
-
-    @exposure_us.setter
-    def exposure_us(self, value: float) -> None:
-        check_within(value, self.exposure_limits_us, "exposure time", "us")
-        self._camera.exposure_us = value

@@ -8,15 +8,9 @@ import numpy as np
 
 from greenough.instrument.contract import CameraNoise, Frames, Rig
 from greenough.instrument.errors import InputError
+from greenough.instrument.frame_figures import BRIGHTEST_PERCENTILE
 
 from .grey_variance import GreyVariance, camera_variance
-
-BRIGHTEST_PERCENTILE = 99.5
-"""The brightest part that counts is this percentile of all pixels.
-
-The 94 small and 5 large spots of the calibration board cover 2.4 % of the camera's field, so that the brightest fifth
-of them sets the exposure. What is brighter than that on other parts, such as glints, may saturate.
-"""
 
 _TOLERANCE = 0.05  # of the aimed grey value
 _CLIPPED = 0.98  # of the full scale: brighter parts may have lost light

@@ -129,6 +129,16 @@ def test_lost_packets_are_asked_for_again():
             assert np.array_equal(camera.trigger_and_grab().image, picture(Trigger(number, 0, 0)))
 
 
+def test_packets_that_are_asked_for_again_are_of_the_acquisition_that_runs():
+    """Its blocks are numbered anew: those of the one before have the same numbers."""
+    with emulated() as wire, connect(wire) as camera:
+        wire.frame_faults[1] = FrameFault("packets_lost", share=0.5)
+        for number in range(2):
+            camera.arm()
+            assert np.array_equal(camera.trigger_and_grab().image, picture(Trigger(number, 0, 0)))
+            camera.disarm()
+
+
 @pytest.mark.parametrize("kind", ["sent_twice", "untriggered"])
 def test_frames_that_nobody_asked_for_are_passed_over(kind):
     with emulated() as wire, connect(wire) as camera:

@@ -4,6 +4,7 @@ from collections import deque
 
 import numpy as np
 import pytest
+from substituted_uvc import LIMITS
 
 from greenough.instrument import uvc_camera, v4l2_controls
 from greenough.instrument.device_errors import ConnectionLost, Fault, Rejected, TimedOut
@@ -25,14 +26,6 @@ SECTION = CameraSection(
     exposure_max_us=1e6,
 )
 SETTINGS = UvcSettings(device="/dev/video9", gain_db=3.5, readout_s=0.05)
-VENDOR = {
-    v4l2_controls.EXPOSURE_US: (20, 30_000_000),
-    v4l2_controls.AUTO_SHUTTER: (0, 1),
-    v4l2_controls.GAIN_CENTIBEL: (0, 3000),
-    v4l2_controls.GAIN_AUTO: (0, 1),
-    v4l2_controls.TRIGGER_MODE: (0, 1),
-    v4l2_controls.SOFTWARE_TRIGGER: (0, 0),
-}
 STANDARD = {
     v4l2_controls.STANDARD_AUTO_EXPOSURE: (0, 3),
     v4l2_controls.STANDARD_EXPOSURE_100_US: (1, 300_000),
@@ -46,7 +39,7 @@ class FakeCamera:
     that it misses.
     """
 
-    def __init__(self, controls=VENDOR):
+    def __init__(self, controls=LIMITS):
         self.now_s = 100.0
         self.pattern = 0
         self.queue: deque[CapturedFrame] = deque()

@@ -7,8 +7,9 @@ import pytest
 
 from greenough.instrument.contract import CameraNoise, Frames, Procedure
 from greenough.instrument.errors import InputError
+from greenough.instrument.frame_figures import BRIGHTEST_PERCENTILE
 from greenough.pipeline.decode import decode
-from greenough.pipeline.exposure import BRIGHTEST_PERCENTILE, auto_exposure, capture_bracketed, merge
+from greenough.pipeline.exposure import auto_exposure, capture_bracketed, merge
 from greenough.pipeline.fringes import PAPER
 from greenough.pipeline.grey_variance import camera_variance
 

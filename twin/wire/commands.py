@@ -22,7 +22,6 @@ def serve(
         int, typer.Option(min=0, help="Exposures of the run that were served before: noise goes on from there.")
     ] = 0,
     real_time: Annotated[bool, typer.Option("--real-time", help="Let the stage take the time that it takes.")] = False,
-    homed: Annotated[bool, typer.Option("--homed", help="Switch the stage on with its place known.")] = False,
     allow_remote: Annotated[
         bool, typer.Option("--allow-remote", help="Listen at addresses that other machines can reach.")
     ] = False,
@@ -46,7 +45,6 @@ def serve(
         scene,
         serial=scene.camera_serial,
         instant_stage=not real_time,
-        homed=homed,
         exposures_done=exposures_done,
         allow_remote=allow_remote,
     )

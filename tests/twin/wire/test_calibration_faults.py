@@ -54,7 +54,7 @@ def test_each_fault_is_told_leaves_all_safe_and_the_next_call_goes_on(bench, nam
         kept = bench.kept
         order(bench, kind, Random(name), A_STEP)
         call = bench.call(home_first=homes)
-        assert (name, broken_by_call(kind, call)) == (name, [])
+        assert (name, call.error, broken_by_call(kind, call)) == (name, call.error, [])
         assert set(kept) <= set(bench.kept)
         kind.mend(bench)
         homes = kind.homes

@@ -92,7 +92,6 @@ def test_fuzzed_requests_are_answered_by_one_line_and_never_place_what_was_not_a
     finally:
         tracemalloc.stop()
     assert grown < 2_000_000
-    assert "placed" in json.loads(answer(b"[" * 100_000, placed.append)) or not placed
 
 
 def test_deeply_nested_requests_are_refused():

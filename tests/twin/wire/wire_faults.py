@@ -209,7 +209,8 @@ KINDS: dict[str, Kind] = {
     "camera: frame late": _frame(
         lambda chance: FrameFault("late", delay_s=chance.uniform(0.05, 0.5)), harmless=True, must_end=False
     ),
-    "camera: frame too late": _frame(lambda chance: FrameFault("late", delay_s=chance.uniform(2.2, 6.0))),
+    # The camera exposes nothing else meanwhile: later than this, the next call's first frame would be too late as well.
+    "camera: frame too late": _frame(lambda chance: FrameFault("late", delay_s=chance.uniform(2.2, 3.5))),
     "camera: frame lost": _frame(lambda chance: FrameFault("lost")),
     "camera: frame twice": _frame(lambda chance: FrameFault("sent_twice"), must_end=False),
     "camera: frame nobody asked for": _frame(lambda chance: FrameFault("untriggered"), must_end=False),

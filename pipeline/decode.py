@@ -16,8 +16,9 @@ from greenough.instrument.packets import packed
 from .fringes import FringeSet
 from .grey_variance import GreyVariance, camera_variance, estimate_variance
 from .jit import Array2u8, Bool, Float, UInt8, UInt32, dr
+from .order_search import ColumnWindow, check_orders, search_order
 from .phase_shifting import estimate_phasor
-from .unwrap import RESIDUAL_LIMIT, order_is_safe, unwrap
+from .unwrap import RESIDUAL_LIMIT, is_modulated, order_is_safe, unwrap
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,10 @@ class PhaseMap:
 
 
 def decode(
-    frames: Frames | np.ndarray, fringes: FringeSet, noise: CameraNoise | GreyVariance | None = None
+    frames: Frames | np.ndarray,
+    fringes: FringeSet,
+    noise: CameraNoise | GreyVariance | None = None,
+    window: ColumnWindow | None = None,
 ) -> PhaseMap:
     """Decode one sequence of phase-shifted frames.
 
@@ -68,12 +72,18 @@ def decode(
     noise : CameraNoise, GreyVariance, or None
         The camera's data sheet, or the variance of grey values that are no single exposures. If None, it is estimated
         from what the frames themselves leave unexplained (`estimate_variance`).
+    window : ColumnWindow, optional
+        What else is known of where each pixel is, a Gray code for example (`gray_code.locate`).
 
     Raises
     ------
     InputError
-        If the stack's count, shape or type does not fit, or a variance has another shape.
+        If the stack's count, shape or type does not fit, a variance has another shape, or fringe orders cannot be
+        told by this set.
     """
+    by_search = window is not None or not fringes.spans_field
+    if by_search:
+        check_orders(fringes, window)
     stack, black_dn, full_scale_dn = _grey_values(frames, fringes)
     shape = stack.shape[1:]
     if noise is None:
@@ -89,19 +99,25 @@ def decode(
     grey = [Float(frame) for frame in as_captured]
     background = _sum(grey) / len(grey) - black
     variance = _per_pixel(noise.at_black_dn2, shape) + per_dn * dr.maximum(background, 0)
-    phasors = [estimate_phasor(grey[part], variance, per_dn) for part in fringes.slices]
-    phases, phase_variances = [each.phase for each in phasors], [each.variance for each in phasors]
-    unwrapped = unwrap(phases, phase_variances, fringes)
+    sets = [grey[part] for part in fringes.slices]
+    if fringes.sign < 0:
+        sets = [[frames_of_set[0], *frames_of_set[:0:-1]] for frames_of_set in sets]
+    phasors = [estimate_phasor(frames_of_set, variance, per_dn) for frames_of_set in sets]
+    phases, phase_variances = [each.phase - fringes.start for each in phasors], [each.variance for each in phasors]
+    if by_search:
+        near = (_per_pixel(window.centre, shape), _per_pixel(window.half_width, shape)) if window else None
+        unwrapped = search_order(phases, phase_variances, fringes, near)
+        safe = is_modulated(phase_variances)
+    else:
+        unwrapped = unwrap(phases, phase_variances, fringes)
+        safe = order_is_safe(phase_variances, fringes)
     # Bytes are compared faster than what is made of them, but CUDA has no instruction for bytes.
     compared = as_captured if dr.backend_v(Float) == dr.JitBackend.LLVM else grey
     brightest = compared[0]
     for values in compared[1:]:
         brightest = dr.maximum(brightest, values)
     valid: Bool = (
-        unwrapped.resolved
-        & (dr.abs(unwrapped.residual) < RESIDUAL_LIMIT)
-        & order_is_safe(phase_variances, fringes)
-        & (Float(brightest) < full_scale)
+        unwrapped.resolved & (dr.abs(unwrapped.residual) < RESIDUAL_LIMIT) & safe & (Float(brightest) < full_scale)
     )
     absolute = dr.select(valid, unwrapped.absolute, dr.nan)
     sigma = dr.sqrt(phase_variances[-1])
@@ -152,5 +168,5 @@ def _per_pixel(value: float | np.ndarray, shape: tuple[int, ...]) -> Float:
     if not isinstance(value, np.ndarray):
         return dr.opaque(Float, value)
     if value.shape != shape:
-        raise InputError(f"noise variance: its shape {value.shape} must be that of a frame, {shape}")
+        raise InputError(f"noise variance or column window: its shape {value.shape} must be that of a frame, {shape}")
     return Float(packed(value.astype(np.float32, copy=False)))

@@ -1,8 +1,9 @@
-"""The verb ``decode``: frames from files to a phase map in one file."""
+"""The verb ``decode``: frames from anybody's files to a phase map in one file."""
 
 from collections.abc import Sequence
+from math import pi
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 
 import typer
 
@@ -12,7 +13,8 @@ from greenough.instrument.verbs import JsonOption, show
 from .fringes import PAPER, FringeSet
 
 if TYPE_CHECKING:
-    import numpy as np
+    from .frame_files import FrameFiles
+    from .order_search import ColumnWindow
 
 app = typer.Typer()
 
@@ -34,35 +36,88 @@ def decode(
         list[str],
         typer.Argument(
             metavar="FRAMES...",
-            help="Images in the order of the patterns, or one .npy or .h5 file with the whole stack "
-            "(FILE.h5:DATASET where there are several).",
+            help="Images, folders, globs or TIFF files of several pages, in the order of the patterns or with names "
+            "that tell it; or one .npy, .npz or .h5 file with the whole stack (FILE.h5:DATASET where there are "
+            "several).",
         ),
     ],
     out: Annotated[Path, typer.Option("--out", metavar="FILE.h5", help="The phase map to write.")],
-    periods: Annotated[str, typer.Option("--periods", help="Fringe periods, columns.")] = _listed(PAPER.periods),
+    periods: Annotated[
+        str, typer.Option("--periods", help="Fringe periods, projector columns, in the order of the frames.")
+    ] = _listed(PAPER.periods),
     steps: Annotated[str, typer.Option("--steps", help="Phase steps of each period.")] = _listed(PAPER.steps),
+    direction: Annotated[
+        Literal["vertical", "horizontal"],
+        typer.Option("--direction", help="Of the fringes; horizontal ones count rows wherever columns are spoken of."),
+    ] = "vertical",
+    field: Annotated[
+        float | None,
+        typer.Option("--field", help="Lit columns, where no period spans them. [default: the coarsest period]"),
+    ] = None,
+    sign: Annotated[int, typer.Option("--sign", help="1 if a step adds to the phase, -1 if it takes from it.")] = 1,
+    start_deg: Annotated[float, typer.Option("--start-deg", help="Phase of each first frame on column 0.")] = 0.0,
+    fringe_frames: Annotated[
+        str | None, typer.Option("--fringe-frames", help="Which frames show fringes, from 0: 3-5,0-2. [default: all]")
+    ] = None,
+    gray_frames: Annotated[
+        str | None, typer.Option("--gray-frames", help="Which frames show a Gray code, its coarsest bit first.")
+    ] = None,
+    gray_inverse: Annotated[
+        bool, typer.Option("--gray-inverse", help="Each frame of the Gray code is followed by its inverse.")
+    ] = False,
+    gray_width: Annotated[
+        float | None,
+        typer.Option("--gray-width", help="Columns of the Gray code's stripes. [default: the finest period]"),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Decode phase-shifted frames to phase, modulation, background."""
+    """Decode phase-shifted frames to phase, modulation, background.
+
+    The n-th of the N frames of a period p is A + B cos(2π x / p + start + sign 2π n / N).
+    """
     import numpy as np
 
     from greenough.instrument import hdf5
 
     from .decode import decode as decode_stack
+    from .frame_files import read_frames
 
-    fringes = FringeSet(_numbers(periods, "--periods", float), _numbers(steps, "--steps", int))
+    given = _numbers(periods, "--periods", float)
+    given_steps = _numbers(steps, "--steps", int)
+    coarsest_first = sorted(range(len(given)), key=lambda k: -given[k])
+    if len(given) != len(given_steps):
+        raise InputError(f"--periods {periods} and --steps {steps}: give one number of steps for each period")
+    if gray_frames is not None and field is None:
+        raise InputError("--gray-frames: give --field as well, the number of lit columns")
+    fringes = FringeSet(
+        tuple(given[k] for k in coarsest_first),
+        tuple(given_steps[k] for k in coarsest_first),
+        field=field,
+        start=start_deg * pi / 180,
+        sign=sign,
+    )
     if out.suffix != ".h5":
         raise InputError(f"phase map {out}: the name must end in .h5")
-    phase_map = decode_stack(read_stack(frames), fringes)
+    files = read_frames(frames)
+    order, reason = _order(files, given, given_steps, fringe_frames, gray_frames)
+    window = _gray(files, order, gray_frames, gray_inverse, gray_width or fringes.periods[-1])
+    starts = np.concatenate([[0], np.cumsum(given_steps)])
+    order = [order[n] for k in coarsest_first for n in range(starts[k], starts[k + 1])]
+    phase_map = decode_stack(files.stack[order], fringes, window=window)
     with hdf5.create(out, KIND, VERSION) as file:
         file.attrs["periods_px"] = fringes.periods
         file.attrs["steps"] = fringes.steps
+        file.attrs["direction"] = np.bytes_(direction)
+        file.attrs["start_rad"], file.attrs["sign"] = fringes.start, fringes.sign
         for name, units in _UNITS.items():
             hdf5.put(file, name, getattr(phase_map, name), units)
     valid = phase_map.valid
     show(
         {
             "out": out,
+            "order": reason,
+            "frames": [files.names[k] for k in order],
+            "direction": direction,
             "shape": valid.shape,
             "valid_share": valid.mean(),
             "median_modulation_dn": np.median(phase_map.modulation[valid]) if valid.any() else None,
@@ -72,83 +127,50 @@ def decode(
     )
 
 
-def read_stack(names: Sequence[str]) -> "np.ndarray":
-    """Frames from image files, or from one file that holds them all.
+def _order(
+    files: "FrameFiles",
+    periods: Sequence[float],
+    steps: Sequence[int],
+    fringe_frames: str | None,
+    gray_frames: str | None,
+) -> tuple[list[int], str]:
+    """Numbers of the frames that show fringes, in the order of ``periods``, and why these."""
+    from .frame_order import guess_order, selected
 
-    Parameters
-    ----------
-    names : sequence of str
-        Grey images of one size and type; or one ``.npy`` file; or one ``.h5`` file, followed by ``:DATASET`` where it
-        holds several stacks.
-
-    Returns
-    -------
-    (frames, rows, cols) array
-
-    Raises
-    ------
-    InputError
-        If a file is missing or unreadable, or the images do not fit together.
-    """
-    import numpy as np
-
-    if len(names) == 1:
-        path, _, dataset = names[0].partition(".h5:")
-        if dataset or path.endswith(".h5"):
-            return _read_hdf5(_existing(path + ".h5" if dataset else path), dataset)
-        if path.endswith(".npy"):
-            try:
-                return np.load(_existing(path), allow_pickle=False)
-            except (OSError, ValueError, EOFError):
-                raise InputError(f"{path} is not a whole .npy file of numbers") from None
-    images = [_read_image(_existing(name)) for name in names]
-    first = images[0]
-    for name, image in zip(names, images, strict=True):
-        if image.shape != first.shape or image.dtype != first.dtype:
-            raise InputError(
-                f"{name} is {image.shape[1]} x {image.shape[0]} {image.dtype}, but {names[0]} is "
-                f"{first.shape[1]} x {first.shape[0]} {first.dtype}; all frames must be alike"
-            )
-    return np.stack(images)
+    count = len(files.stack)
+    if fringe_frames is not None:
+        order, reason = selected(fringe_frames, count, "--fringe-frames"), "--fringe-frames"
+    else:
+        gray = selected(gray_frames, count, "--gray-frames") if gray_frames else []
+        rest = [k for k in range(count) if k not in gray]
+        if len(rest) == sum(steps):
+            order, reason = guess_order([files.names[k] for k in rest], periods, steps)
+            return [rest[k] for k in order], reason
+        order, reason = rest, "the order of the files"
+    if len(order) != sum(steps):
+        raise InputError(
+            f"frame stack: it holds {len(order)} frames but the fringe set with steps {tuple(steps)} needs {sum(steps)}"
+        )
+    return order, reason
 
 
-def _read_image(path: Path) -> "np.ndarray":
-    import cv2
-    import numpy as np
+def _gray(
+    files: "FrameFiles", fringe_frames: Sequence[int], gray_frames: str | None, inverse: bool, stripe_width: float
+) -> "ColumnWindow | None":
+    """Where the Gray code says that pixels are; without inverse frames, grey between black and white is the fringes'
+    mean."""
+    from .frame_order import selected
+    from .gray_code import locate
 
-    image = cv2.imdecode(np.fromfile(path, dtype=np.uint8), cv2.IMREAD_UNCHANGED) if path.stat().st_size else None
-    if image is None:
-        raise InputError(f"{path} is not an image; give PNG or TIFF files, or one .npy or .h5 file")
-    if image.ndim != 2:
-        raise InputError(f"{path} has {image.shape[2]} channels; give grey images")
-    return image
-
-
-def _read_hdf5(path: Path, dataset: str) -> "np.ndarray":
-    import h5py
-    import numpy as np
-
-    stacks = []
-    try:
-        with h5py.File(path, "r") as file:
-            if not dataset:
-                file.visititems(lambda name, item: stacks.append(name) if getattr(item, "ndim", 0) == 3 else None)
-                if len(stacks) != 1:
-                    found = f"{len(stacks)} stacks ({', '.join(stacks[:3])}, ...)" if stacks else "no stack"
-                    raise InputError(f"{path} holds {found}; name one with three dimensions as {path}:DATASET")
-                dataset = stacks[0]
-            if not isinstance(item := file.get(dataset), h5py.Dataset):
-                raise InputError(f"{path} holds no dataset {dataset}")
-            return np.asarray(item[()])
-    except (OSError, RuntimeError):
-        raise InputError(f"{path} is damaged, truncated or not HDF5") from None
-
-
-def _existing(name: str) -> Path:
-    path = Path(name)
-    if not path.is_file():
-        raise InputError(f"there is no file {path}")
-    return path
+    if gray_frames is None:
+        return None
+    frames = selected(gray_frames, len(files.stack), "--gray-frames")
+    if inverse and len(frames) % 2:
+        raise InputError(f"--gray-frames {gray_frames}: with --gray-inverse they must be even in number")
+    if inverse:
+        return locate(files.stack[frames[::2]], files.stack[frames[1::2]], stripe_width)
+    mean = files.stack[list(fringe_frames)].mean(axis=0, keepdims=True, dtype="float32")
+    return locate(files.stack[frames], mean, stripe_width)
 
 
 def _numbers(text: str, option: str, kind: type[_Number]) -> tuple[_Number, ...]:

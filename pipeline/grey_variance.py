@@ -54,31 +54,56 @@ def estimate_variance(
 ) -> GreyVariance:
     """Variance of a grey value from the frames alone.
 
-    The N frames of a set have three unknowns per pixel, and what their fit leaves is noise, or harmonics if there are
-    any. These raise ``per_dn``, mostly, as they grow with the light: the phases' sigma comes out too large, and weights
-    of frames that are made from this variance become more unequal than the noise deserves, so that more of a second
-    harmonic leaks into the phase. The residuals being P I with P the projection onto all else, the m-th has the
-    variance Σ_n P_mn² (a + b I_n): a line in the light, as a photon transfer curve is. It is fitted to a regular sample
-    of unsaturated pixels with both coefficients not negative.
+    The N frames of a set have three unknowns per pixel. What their fit leaves is noise, and harmonics if there are any;
+    but harmonics are alike in neighbouring pixels, along the fringes above all, and noise is not. So residuals of
+    neighbours are subtracted, once down the rows and once along them, and what scatters less is taken. The residuals
+    being P I with P the projection onto all else, half the square of the m-th difference has the mean
+    Σ_n P_mn² (a + b I_n): a line in the light, as a photon transfer curve is. It is fitted to a regular sample of
+    unsaturated pixels with both coefficients not negative.
 
     Where all sets have three steps nothing is left over; the noise is then taken to be 1 % of the largest grey value.
     """
-    least = QUANTISATION_VARIANCE if stack.dtype.kind == "u" else 0.0
-    stride = max(1, int(np.sqrt(stack[0].size / _SAMPLE_PIXELS)))
-    sample = stack[:, ::stride, ::stride].reshape(len(stack), -1).astype(np.float64)  # (frames, pixels)
-    sample = sample[:, (sample < full_scale_dn).all(axis=0)]
-    if max(fringes.steps) == 3 or sample.size == 0:
-        return GreyVariance((_ASSUMED_NOISE * float(sample.max(initial=0.0))) ** 2 + least, 0.0)
+    pairs = [_neighbours(stack, axis, full_scale_dn) for axis in (1, 2) if stack.shape[axis] > 1]
+    pairs = [(here, there) for here, there in pairs if here.size]
+    brightest = max((float(here.max()) for here, _ in pairs), default=0.0)
+    # Floats are decoded in single precision.
+    least = QUANTISATION_VARIANCE if stack.dtype.kind == "u" else float(np.finfo(np.float32).eps * brightest) ** 2
+    if max(fringes.steps) == 3 or not pairs:
+        return GreyVariance((_ASSUMED_NOISE * brightest) ** 2 + least, 0.0)
+    here, there = min(pairs, key=lambda pair: _scatter(*pair, fringes))
     squares, constant, slope = [], [], []
     for part, steps in zip(fringes.slices, fringes.steps, strict=True):
-        angle = 2 * np.pi * np.arange(steps) / steps
-        fringe = np.stack([np.ones(steps), np.cos(angle), np.sin(angle)], axis=-1)
-        fit = fringe @ np.linalg.pinv(fringe)  # (N, N)
+        fit = _fringe_fit(steps)
         unexplained = np.eye(steps) - fit
-        light = np.maximum(fit @ sample[part] - black_dn, 0)
-        squares.append(np.square(unexplained @ sample[part]))
+        light = np.maximum(fit @ (here[part] + there[part]) / 2 - black_dn, 0)
+        squares.append(np.square(unexplained @ (here[part] - there[part])) / 2)
         constant.append(np.square(unexplained) @ np.ones_like(light))
         slope.append(np.square(unexplained) @ light)
     line = np.stack([np.concatenate(column).ravel() for column in (constant, slope)], axis=-1)
     (at_black, per_dn), _ = nnls(line, np.concatenate(squares).ravel() - least * line[:, 0])
     return GreyVariance(least + float(at_black), float(per_dn))
+
+
+def _neighbours(stack: np.ndarray, axis: int, full_scale_dn: float) -> tuple[np.ndarray, np.ndarray]:
+    """A regular sample of pixels and of the next ones along an axis, neither saturated, each (frames, pixels)."""
+    stride = max(1, int(np.sqrt(stack[0].size / _SAMPLE_PIXELS)))
+    rows, cols = stack.shape[1] - (axis == 1), stack.shape[2] - (axis == 2)
+    here = stack[:, :rows:stride, :cols:stride].reshape(len(stack), -1).astype(np.float64)
+    there = stack[:, stack.shape[1] - rows :: stride, stack.shape[2] - cols :: stride]
+    there = there.reshape(len(stack), -1).astype(np.float64)
+    sound = ((here < full_scale_dn) & (there < full_scale_dn)).all(axis=0)
+    return here[:, sound], there[:, sound]
+
+
+def _scatter(here: np.ndarray, there: np.ndarray, fringes: FringeSet) -> float:
+    """Mean square of what no fringes explain of the difference."""
+    parts = zip(fringes.slices, fringes.steps, strict=True)
+    apart = [(np.eye(steps) - _fringe_fit(steps)) @ (here[part] - there[part]) for part, steps in parts]
+    return float(np.mean(np.square(np.concatenate(apart))))
+
+
+def _fringe_fit(steps: int) -> np.ndarray:
+    """Projection of N frames onto fringes and a background, (N, N)."""
+    angle = 2 * np.pi * np.arange(steps) / steps
+    fringe = np.stack([np.ones(steps), np.cos(angle), np.sin(angle)], axis=-1)
+    return fringe @ np.linalg.pinv(fringe)

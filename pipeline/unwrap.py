@@ -35,8 +35,8 @@ RESIDUAL_LIMIT = pi / 2
 """Largest fringe-order residual of a valid pixel: half of the π at which rounding goes to the next order."""
 
 # Column 0 is a mirror from -1/2 to 1/2; half a column more at either end admits counts that begin at a mirror's edge.
-_EDGE_COLUMNS = 1.0
-_EDGE_SIGMAS = 6.0  # by which noise may carry a phase beyond
+EDGE_COLUMNS = 1.0
+EDGE_SIGMAS = 6.0  # by which noise may carry a phase beyond
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ def unwrap(wrapped: Sequence[Float], variance: Sequence[Float], fringes: FringeS
     turns = [phase / (2 * pi) for phase in wrapped]
     scales = [fringes.periods[-1] / period for period in fringes.periods[:-1]]
     weights = [(2 * pi) ** 2 / (own + k**2 * variance[-1]) for own, k in zip(variance[:-1], scales, strict=True)]
-    edge = _EDGE_COLUMNS / fringes.periods[-1] + _EDGE_SIGMAS / (2 * pi) * dr.sqrt(variance[-1])
+    edge = EDGE_COLUMNS / fringes.periods[-1] + EDGE_SIGMAS / (2 * pi) * dr.sqrt(variance[-1])
     start = turns[0] - dr.floor(turns[0])
     neighbour = start + dr.select(start < 0.5, 1, -1)
     here, there = (_follow(first, turns, weights, edge, fringes) for first in (start, neighbour))
@@ -101,19 +101,27 @@ def order_is_safe(variance: Sequence[Float], fringes: FringeSet) -> Bool:
 
     The quantity that eq. 5 rounds has the variance s² = σ_i² + K_i² σ_(i-1)², so that the order is wrong with the
     probability 2 Q(π / s), where Q is the upper tail of the normal distribution. The accepted probability is shared
-    evenly by the steps of the chain. Of a set without modulation, noise makes an apparent modulation b with the
-    density of Rayleigh; each set's own modulation must exceed what noise reaches with the accepted probability, which
-    is σ_i² < 1 / (2 ln(1 / probability)).
+    evenly by the steps of the chain. All sets must be modulated besides.
     """
-    safe = Bool(True)
-    for own in variance:
-        safe &= own < 1 / (2 * log(1 / ERROR_PROBABILITY))
+    safe = is_modulated(variance)
     steps = len(variance) - 1
     if steps:
         sigmas = NormalDist().inv_cdf(1 - ERROR_PROBABILITY / (2 * steps))
         for i in range(1, len(variance)):
             safe &= variance[i] + fringes.ratios[i] ** 2 * variance[i - 1] < (pi / sigmas) ** 2
     return safe
+
+
+def is_modulated(variance: Sequence[Float]) -> Bool:
+    """Whether all sets show more than noise.
+
+    Of a set without modulation, noise makes an apparent modulation b with the density of Rayleigh; each set's own
+    modulation must exceed what noise reaches with the accepted probability, that is σ_i² < 1 / (2 ln(1 / probability)).
+    """
+    modulated = Bool(True)
+    for own in variance:
+        modulated &= own < 1 / (2 * log(1 / ERROR_PROBABILITY))
+    return modulated
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,5 @@
 import json
+import os
 from math import pi
 
 import cv2
@@ -9,7 +10,8 @@ from typer.testing import CliRunner
 
 from greenough.instrument import hdf5
 from greenough.instrument.errors import InputError
-from greenough.pipeline.decode_command import KIND, VERSION, app, read_stack
+from greenough.pipeline.decode_command import KIND, VERSION, app
+from greenough.pipeline.gray_code import stripe_patterns
 
 COLUMN = np.broadcast_to(np.linspace(5, 590, 120), (8, 120))
 
@@ -60,21 +62,68 @@ def test_other_sets_are_named_by_periods_and_steps(tmp_path, stack):
         np.testing.assert_allclose(absolute, 2 * pi * COLUMN[first_period] / 40, atol=0.03)
 
 
-@pytest.mark.parametrize("kind", [np.uint8, np.uint16])
-def test_every_file_format_gives_the_same_stack(tmp_path, stack, kind):
-    stack = stack.astype(kind)
-    np.save(tmp_path / "stack.npy", stack)
-    with h5py.File(tmp_path / "stack.h5", "w") as file:
-        file["frames"] = stack
-        file["other"] = np.zeros(3)
-    for names in (
-        [tmp_path / "stack.npy"],
-        [tmp_path / "stack.h5"],
-        [f"{tmp_path}/stack.h5:frames"],
-        write_images(tmp_path, stack, ".png"),
-        write_images(tmp_path, stack, ".tiff"),
-    ):
-        np.testing.assert_array_equal(read_stack([str(name) for name in names]), stack)
+def test_frames_of_somebody_else_fall_into_order(tmp_path, stack):
+    """Horizontal fringes of another sign and start, the finest period first, steps before periods in the names."""
+    row, sets = COLUMN.T, ((12, 12), (40, 4), (152, 4), (608, 4))
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    for k, (period, steps) in enumerate(sets):
+        for n in range(steps):
+            image = np.rint(118 + 84 * np.sin(2 * pi * (row / period - n / steps))).astype(np.uint8)
+            assert cv2.imwrite(str(folder / f"shift{n}_period{k}.png"), image)
+    out = tmp_path / "phase.h5"
+    options = ["--periods", "12,40,152,608", "--steps", "12,4,4,4", "--direction", "horizontal"]
+    result = decode(folder, *options, "--sign", "-1", "--start-deg=-90", "--out", out, "--json")
+    answer = json.loads(result.stdout)
+    assert answer["valid_share"] == 1
+    assert "counts periods" in answer["order"]
+    assert answer["frames"][0] == "shift0_period3.png"
+    with hdf5.read(out, KIND, VERSION) as file:
+        np.testing.assert_allclose(hdf5.get(file, "absolute"), 2 * pi * row / 12, atol=0.02)
+        assert file.attrs["direction"] == b"horizontal"
+
+
+@pytest.mark.parametrize("inverse", [True, False])
+def test_a_gray_code_among_the_frames_counts_fringes(tmp_path, inverse):
+    fringes = [np.rint(118 + 84 * np.cos(2 * pi * (COLUMN / 20 + n / 3))).astype(np.uint8) for n in range(3)]
+    bits = stripe_patterns(600, 20, 5)[:, np.rint(COLUMN).astype(int)]
+    bits = [frame for bit in bits for frame in ((bit, 255 - bit) if inverse else (bit,))]
+    np.save(tmp_path / "stack.npy", np.stack([bits[0], *fringes, *bits[1:]]))
+    numbers = f"0,4-{2 + len(bits)}"
+    out = tmp_path / "phase.h5"
+    options = ["--periods", "20", "--steps", "3", "--gray-frames", numbers, "--field", "600"]
+    result = decode(tmp_path / "stack.npy", *options, *(["--gray-inverse"] if inverse else []), "--out", out, "--json")
+    assert json.loads(result.stdout)["valid_share"] > 0.9
+    with hdf5.read(out, KIND, VERSION) as file:
+        error = hdf5.get(file, "absolute") - 2 * pi * COLUMN / 20
+    assert np.nanmax(np.abs(error)) < 0.05
+
+
+REAL = os.environ.get("GREENOUGH_REAL_FRAMES", "")
+
+
+@pytest.mark.skipif(
+    not REAL, reason="GREENOUGH_REAL_FRAMES is not set: the folder of kamino410/phase-shifting's object1"
+)
+@pytest.mark.parametrize(
+    ("direction", "fringe_frames", "gray_frames", "field"),
+    [("vertical", "0-5", "12-21", 1920), ("horizontal", "6-11", "22-29", 1080)],
+)
+def test_real_frames_of_others_get_orders_that_their_two_codes_agree_on(
+    tmp_path, direction, fringe_frames, gray_frames, field
+):
+    """Three steps bent by gamma: the two periods, 100 and 66.7 columns, must agree where the Gray code puts them."""
+    out = tmp_path / "phase.h5"
+    options = ["--periods", "66.66666667,100", "--steps", "3,3", "--start-deg=-120", "--direction", direction]
+    options += ["--fringe-frames", fringe_frames, "--gray-frames", gray_frames, "--gray-inverse", "--gray-width", "100"]
+    decode(REAL, *options, "--field", str(field), "--out", out)
+    with hdf5.read(out, KIND, VERSION) as file:
+        column = hdf5.get(file, "absolute") * 66.66666667 / (2 * pi)
+        valid, modulation = hdf5.get(file, "valid"), hdf5.get(file, "modulation")
+    assert valid[modulation > 5].mean() > 0.9
+    along = np.diff(column, axis=1 if direction == "vertical" else 0)
+    # Half a period is jumped over at the object's outline alone.
+    assert np.mean(np.abs(along[np.isfinite(along)]) > 30) < 1e-3
 
 
 def test_files_that_cannot_be_used_are_refused_and_nothing_is_written(tmp_path, stack):
@@ -84,7 +133,7 @@ def test_files_that_cannot_be_used_are_refused_and_nothing_is_written(tmp_path, 
     (tmp_path / "empty.png").touch()
     (tmp_path / "cut.npy").write_bytes(b"\x93NUMPY\x01\x00")
     (tmp_path / "text.h5").write_text("not HDF5")
-    cv2.imwrite(str(tmp_path / "colour.png"), np.zeros((8, 120, 3), np.uint8))
+    cv2.imwrite(str(tmp_path / "colour.png"), np.zeros((8, 120, 3), np.uint8) + np.arange(3, dtype=np.uint8))
     cv2.imwrite(str(tmp_path / "small.png"), stack[0, :4])
     with h5py.File(tmp_path / "two.h5", "w") as file:
         file["a"] = file["b"] = stack
@@ -101,6 +150,11 @@ def test_files_that_cannot_be_used_are_refused_and_nothing_is_written(tmp_path, 
         (paths[:-1], "23 frames"),
         ([*paths, "--periods", "608,x"], "--periods 608,x"),
         ([*paths, "--steps", "4,4,4,12.5"], "whole numbers"),
+        ([*paths, "--steps", "4,4,4"], "one number of steps for each period"),
+        ([*paths, "--field", "1000", "--periods", "608,304,152,76"], "repeat together every 608"),
+        ([*paths, "--gray-frames", "0-3"], "--field"),
+        ([*paths, "--gray-frames", "0-2", "--gray-inverse", "--field", "608", "--fringe-frames", "0-23"], "even in"),
+        ([*paths, "--sign", "2"], "sign"),
     ):
         with pytest.raises(InputError, match=says):
             decode(*frames, "--out", out)

@@ -6,7 +6,9 @@ from the coarsest to the finest set, precise compares several.
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from importlib import import_module
 from importlib.util import find_spec
+from typing import Any
 
 import numpy as np
 
@@ -132,10 +134,9 @@ def decode_by_numpy(stack: np.ndarray, fringes: FringeSet) -> np.ndarray:
 
 def decoder_of_fringes(fringes: FringeSet, mode: str) -> Decoder:
     """`fringes`, whose screen is as wide as the coarsest fringe; it gives columns, and compiles in its first call."""
-    from fringes import Fringes  # pyright: ignore[reportMissingImports]  a peer that need not be installed
-
+    peers: Any = import_module("fringes")  # which need not be installed: its types are not looked at
     width = fringes.periods[0]
-    peer = Fringes(
+    peer = peers.Fringes(
         X=round(width),
         Y=1,
         axes=(1,),

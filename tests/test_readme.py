@@ -19,6 +19,8 @@ import trimesh
 from emulated_gige import free_address, need_aravis
 
 from greenough.instrument.command import GROUP, run
+from greenough.pipeline.fringes import FringeSet
+from greenough.pipeline.gray_code import stripe_patterns
 from greenough.twin.validation.studies import builtin_studies
 
 README = Path(__file__).parent.parent / "README.md"
@@ -86,6 +88,14 @@ def test_examples_run_in_the_order_of_the_page_and_the_commands_with_them(folder
     for k, pattern in enumerate(patterns):
         cv2.imwrite(f"frames/{k:02d}.png", pattern // 2 + 50)  # neither dark nor saturated
 
+    others = FringeSet((70, 64, 59), (4, 4, 4), field=1024, sign=-1)
+    Path("theirs").mkdir()
+    for k, pattern in enumerate(others.patterns(64, 1024)):
+        cv2.imwrite(f"theirs/freq{2 - k // 4}_step{k % 4}.png", pattern.T // 2 + 50)
+    fringes = FringeSet((20,), (3,), field=608).patterns(64, 608) // 2 + 50
+    code = np.broadcast_to(stripe_patterns(608, 20, 6)[:, None], (6, 64, 608))
+    np.savez("coded.npz", np.concatenate([fringes, code]))
+
     # What the study's runs find is tested in twin/validation; here they only have to be made.
     runs: list[str] = []
     monkeypatch.setattr("greenough.twin.validation.cost.cost_figures", cost_figures(runs))
@@ -97,8 +107,9 @@ def test_examples_run_in_the_order_of_the_page_and_the_commands_with_them(folder
         if "demo" not in line and "accept" not in line:
             assert command(line) == 0, f"{line}\n{capsys.readouterr().err}"
     assert len(runs) == 10
-    with h5py.File("phase.h5") as file:
-        assert np.mean(file["valid"][()]) > 0.9
+    for name in ("phase.h5", "theirs.h5", "coded.h5"):
+        with h5py.File(name) as file:
+            assert np.mean(file["valid"][()]) > 0.9, name
 
     runner = doctest.DocTestRunner(verbose=False)
     report: list[str] = []

@@ -1,4 +1,4 @@
-"""The verbs of the pipeline: calibrate, measure, compare, decode."""
+"""The verbs of the pipeline: calibrate, measure, compare, export, decode."""
 
 from dataclasses import asdict
 from pathlib import Path
@@ -174,6 +174,26 @@ def compare(
     show({**summary, "tolerance_um": tolerance_um, "within_tolerance": holds}, as_json)
     if not holds:
         raise typer.Exit(1)
+
+
+@app.command()
+def export(
+    cloud: Annotated[Path, typer.Argument(metavar="CLOUD", help="Measured points: PLY.")],
+    out: Annotated[
+        Path, typer.Option("--out", metavar="FILE", help="Its ending says what: .xyz, .asc, .npz, .stl, .obj or .ply.")
+    ],
+    as_json: JsonOption = False,
+) -> None:
+    """Write measured points as other programs read them, in mm.
+
+    A surface, STL or OBJ, has triangles between neighbouring pixels and is open where nothing was measured.
+    """
+    from .export import export_cloud
+    from .point_cloud import read_cloud
+
+    points = read_cloud(cloud)
+    export_cloud(points, out)
+    show({"file": out, "points": len(points.xyz), "unit": "mm", "bytes": out.stat().st_size}, as_json)
 
 
 def _pose(text: str) -> tuple[float, float, float, float, float, float]:

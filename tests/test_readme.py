@@ -76,6 +76,7 @@ def test_examples_run_in_the_order_of_the_page_and_the_commands_with_them(folder
         "calibrate",
         "measure",
         "compare",
+        "export",
         "decode",
         "record",
         "replay",

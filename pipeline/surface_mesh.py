@@ -1,0 +1,45 @@
+"""A surface from a cloud whose points remember their pixels: neighbours in the camera become triangles."""
+
+import numpy as np
+
+from greenough.instrument.errors import InputError
+
+from .point_cloud import Mesh, PointCloud
+
+_LONGEST = 6.0  # times the middle length of edges: longer ones bridge what the camera did not see
+_MAX_PIXELS = 2**27  # of the camera that the pixels claim
+
+
+def surface_mesh(cloud: PointCloud) -> Mesh:
+    """Triangles between neighbouring pixels, with their normals towards +z.
+
+    A square of four points becomes two triangles and one of three points becomes one. What spans a void, or a step that
+    is steep as seen from the camera, stays open.
+
+    Raises
+    ------
+    InputError
+        When the points do not say which pixels they are of, or no three of them are neighbours.
+    """
+    if cloud.pixels is None:
+        raise InputError("the cloud does not say which pixels its points are of: write it by `greenough measure`")
+    first = cloud.pixels.min(axis=0)
+    rows, cols = (int(size) for size in cloud.pixels.max(axis=0) - first + 1)
+    if rows * cols > _MAX_PIXELS:
+        raise InputError(f"the cloud claims a camera of {cols} x {rows} pixels; at most {_MAX_PIXELS} are taken")
+    number = np.full((rows, cols), -1, dtype=np.int32)
+    number[tuple((cloud.pixels - first).T)] = np.arange(len(cloud.xyz), dtype=np.int32)
+    corners = np.stack([number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]], axis=-1).reshape(-1, 4)
+    missing = (corners < 0).sum(axis=1)
+    whole = corners[missing == 0]
+    partial = corners[missing == 1]
+    of_three = partial[partial >= 0].reshape(-1, 3)  # in their order around the square
+    faces = np.concatenate([whole[:, [0, 1, 2]], whole[:, [0, 2, 3]], of_three])
+    sides = cloud.xyz[faces] - cloud.xyz[np.roll(faces, -1, axis=1)]
+    lengths = np.linalg.norm(sides, axis=2)
+    if not len(faces):
+        raise InputError("no three points of the cloud are neighbours in the camera: there is no surface")
+    kept = (lengths < _LONGEST * np.median(lengths)).all(axis=1)
+    faces, sides = faces[kept], sides[kept]
+    upwards = np.cross(sides[:, 0], sides[:, 1])[:, 2].sum() > 0
+    return Mesh(cloud.xyz, faces if upwards else faces[:, ::-1])

@@ -8,6 +8,7 @@ import io
 import re
 import warnings
 import zipfile
+import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from glob import glob, has_magic
@@ -26,7 +27,10 @@ MAX_BYTES = 4 * 2**30
 IMAGES = (".png", ".tif", ".tiff", ".bmp", ".pgm", ".jpg", ".jpeg")
 """What a folder is searched for."""
 
+# What Pillow, NumPy and h5py raise on a damaged file depends on which part of it is hit.
 _DAMAGED = (OSError, SyntaxError, ValueError, KeyError, TypeError, IndexError, EOFError, MemoryError)
+# zipfile's, of an archive, of its compressed data, of a compression that it has not, and of an encrypted entry.
+_DAMAGED_ZIP = (zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError)
 _GREY_MODES = ("L", "I;16", "I;16B", "I;16L", "I", "F", "1")
 
 
@@ -172,7 +176,7 @@ def _read_npy(stream: IO[bytes], available: int, path: Path) -> np.ndarray:
         return np.lib.format.read_array(stream, allow_pickle=False)
     except InputError:
         raise
-    except (*_DAMAGED, zipfile.BadZipFile):
+    except (*_DAMAGED, *_DAMAGED_ZIP):
         raise InputError(f"{path} is not a whole {path.suffix} file of numbers") from None
 
 
@@ -190,7 +194,7 @@ def _read_npz(path: Path, item: str) -> np.ndarray:
                 return _read_npy(stream, entry.file_size, path)
     except InputError:
         raise
-    except (*_DAMAGED, zipfile.BadZipFile, NotImplementedError, RuntimeError):
+    except (*_DAMAGED, *_DAMAGED_ZIP):
         raise InputError(f"{path} is not a whole {path.suffix} file of numbers") from None
 
 
@@ -210,7 +214,7 @@ def _read_hdf5(path: Path, dataset: str) -> np.ndarray:
             return np.asarray(item[()])
     except InputError:
         raise
-    except (*_DAMAGED, RuntimeError):
+    except (*_DAMAGED, RuntimeError):  # the last is HDF5's own
         raise InputError(f"{path} is damaged, truncated or not HDF5") from None
 
 

@@ -6,7 +6,8 @@ sets; the order with the least misfit, weighted by the phases' variances, is tak
 roughly where on the projector a pixel is, narrows the search.
 
 An order is resolved only if the next best one is behind by the logarithm of the odds that `unwrap` asks for, and
-misfits by twice as much: harmonics in the phases, which no variance knows of, then cannot have exchanged the two.
+misfits by twice as much, for harmonics in the phases, of which no variance knows. That is a margin and no proof: phases
+that are bent by more than half of what tells two orders apart may fit a wrong one best. More steps bend less.
 
 The functions take and return Dr.Jit arrays, one entry per pixel, so that they become part of the decoder's kernel.
 """
@@ -22,7 +23,7 @@ from greenough.instrument.errors import InputError
 
 from .fringes import FringeSet
 from .jit import Bool, Float, dr
-from .unwrap import EDGE_COLUMNS, EDGE_SIGMAS, ERROR_PROBABILITY, Unwrapped
+from .unwrap import EDGE_SIGMAS, ERROR_PROBABILITY, Unwrapped, weights_and_edge
 
 _FARTHER = 2.0  # by how much the next best order must misfit more, in rad
 _SAME = 0.05  # rad: columns whose phases are nearer than this are taken for alike
@@ -67,8 +68,7 @@ def search_order(
     turns = [phase / (2 * pi) for phase in wrapped]
     own = turns[-1] - dr.floor(turns[-1])
     scales = [densest / period for period in coarser]
-    weights = [(2 * pi) ** 2 / (v + k**2 * variance[-1]) for v, k in zip(variance[:-1], scales, strict=True)]
-    edge = EDGE_COLUMNS / densest + EDGE_SIGMAS / (2 * pi) * dr.sqrt(variance[-1])
+    weights, edge = weights_and_edge(variance, fringes)
     field = fringes.field if fringes.field is not None else fringes.periods[0]
     last = (field - 1) / densest
     centre, half = (window[0] / densest, window[1] / densest) if window else (Float(0), Float(0))

@@ -35,7 +35,7 @@ RESIDUAL_LIMIT = pi / 2
 """Largest fringe-order residual of a valid pixel: half of the π at which rounding goes to the next order."""
 
 # Column 0 is a mirror from -1/2 to 1/2; half a column more at either end admits counts that begin at a mirror's edge.
-EDGE_COLUMNS = 1.0
+_EDGE_COLUMNS = 1.0
 EDGE_SIGMAS = 6.0  # by which noise may carry a phase beyond
 
 
@@ -71,9 +71,7 @@ def unwrap(wrapped: Sequence[Float], variance: Sequence[Float], fringes: FringeS
         What was projected.
     """
     turns = [phase / (2 * pi) for phase in wrapped]
-    scales = [fringes.periods[-1] / period for period in fringes.periods[:-1]]
-    weights = [(2 * pi) ** 2 / (own + k**2 * variance[-1]) for own, k in zip(variance[:-1], scales, strict=True)]
-    edge = EDGE_COLUMNS / fringes.periods[-1] + EDGE_SIGMAS / (2 * pi) * dr.sqrt(variance[-1])
+    weights, edge = weights_and_edge(variance, fringes)
     start = turns[0] - dr.floor(turns[0])
     neighbour = start + dr.select(start < 0.5, 1, -1)
     here, there = (_follow(first, turns, weights, edge, fringes) for first in (start, neighbour))
@@ -94,6 +92,16 @@ def unwrap(wrapped: Sequence[Float], variance: Sequence[Float], fringes: FringeS
             (here.inside | there.inside) & ~(odds_decide & chosen_fits_worse),
         ),
     )
+
+
+def weights_and_edge(variance: Sequence[Float], fringes: FringeSet) -> tuple[list[Float], Float]:
+    """Inverse variances of the coarser sets' misfits, 1/turns², and by how much a phase may lie outside, turns.
+
+    A misfit is that of a coarser set's phase to what the densest set's predicts.
+    """
+    scales = [fringes.periods[-1] / period for period in fringes.periods[:-1]]
+    weights = [(2 * pi) ** 2 / (own + k**2 * variance[-1]) for own, k in zip(variance[:-1], scales, strict=True)]
+    return weights, _EDGE_COLUMNS / fringes.periods[-1] + EDGE_SIGMAS / (2 * pi) * dr.sqrt(variance[-1])
 
 
 def order_is_safe(variance: Sequence[Float], fringes: FringeSet) -> Bool:

@@ -102,6 +102,10 @@ def test_bad_files_are_one_sentence_and_cost_no_memory(tmp_path, stack):
         entry.write(npy_header((5, 2**30)))
         for _ in range(5 * 64):
             entry.write(bytes(2**24))
+    np.savez_compressed(tmp_path / "spoiled.npz", stack)
+    spoiled = bytearray((tmp_path / "spoiled.npz").read_bytes())
+    spoiled[60:90] = bytes(255 - value for value in spoiled[60:90])
+    (tmp_path / "spoiled.npz").write_bytes(spoiled)
     with zipfile.ZipFile(tmp_path / "claims.npz", "w") as archive:
         archive.writestr("a.npy", npy_header((3, 2**15, 2**15)) + bytes(100))
     with h5py.File(tmp_path / "claims.h5", "w") as file:
@@ -121,6 +125,7 @@ def test_bad_files_are_one_sentence_and_cost_no_memory(tmp_path, stack):
         "negative.npy": "not a whole .npy",
         "object.npy": "not a whole .npy",
         "text.npz": "not a whole .npz",
+        "spoiled.npz": "not a whole .npz",
         "bomb.npz": "claims 5 GiB",
         "claims.npz": "not a whole .npz",
         "claims.h5": "claims 20 GiB",

@@ -57,3 +57,15 @@ def test_three_steps_leave_nothing_to_estimate_from():
     fringes = FringeSet((300, 60), (3, 3))
     estimate = estimate_variance(np.full((6, 20, 20), 100, np.uint8), fringes)
     assert estimate.at(np.array(50.0)) == pytest.approx(1.0 + 1 / 12)
+
+
+@pytest.mark.parametrize("vertical", [True, False])
+def test_harmonics_are_not_taken_for_noise(vertical):
+    """Four steps take the second harmonic for noise; along the fringes it is the same in neighbours."""
+    rng = np.random.default_rng(4)
+    column = np.broadcast_to(np.linspace(0, 600, 160), (160, 160))
+    bent = [255 * (0.5 + 0.35 * np.cos(2 * np.pi * column / 40 + np.pi * n / 2)) ** 1.8 for n in range(4)]
+    frames = np.array(bent if vertical else [image.T for image in bent]) + rng.normal(0, 2, (4, 160, 160))
+    estimate = estimate_variance(frames.astype(np.float32), FringeSet((600,), (4,)))
+    # 5000 values of one degree of freedom: the variance is known to 2 %, and two coefficients share it.
+    assert np.mean(estimate.at(frames)) == pytest.approx(4.0, rel=0.15)

@@ -94,7 +94,7 @@ def test_bad_input_ends_with_2_and_one_sentence(tmp_path, monkeypatch, capsys, a
 
 def test_the_verbs_of_the_pipeline_are_there():
     names = {command.name or command.callback.__name__ for command in commands.app.registered_commands}
-    assert names == {"calibrate", "measure", "compare"}
+    assert names == {"calibrate", "measure", "compare", "export"}
     assert greenough("decode", "--help") == 0
 
 

@@ -41,13 +41,15 @@ ask("arv_camera_start_acquisition", None, (c_void_p,), camera)
 seen = []
 for _ in range(int(frames)):
     ask("arv_camera_software_trigger", None, (c_void_p,), camera)
-    buffer = call("arv_stream_timeout_pop_buffer", c_void_p, (c_void_p, c_uint64), stream, 60_000_000)
-    if not buffer:
-        sys.exit("no frame came")
+    number = 0
+    while number == 0:  # GigE Vision's number of test packets, for which Aravis 0.8.26 hands out an empty buffer
+        buffer = call("arv_stream_timeout_pop_buffer", c_void_p, (c_void_p, c_uint64), stream, 60_000_000)
+        if not buffer:
+            sys.exit("no frame came")
+        number = call("arv_buffer_get_frame_id", c_uint64, (c_void_p,), buffer)
     status = call("arv_buffer_get_status", c_int, (c_void_p,), buffer)
     size = c_size_t()
     data = call("arv_buffer_get_data", c_void_p, (c_void_p, c_void_p), buffer, byref(size))
-    number = call("arv_buffer_get_frame_id", c_uint64, (c_void_p,), buffer)
     seen.append([status, number, hashlib.sha256(ctypes.string_at(data, size.value)).hexdigest()])
     call("arv_stream_push_buffer", None, (c_void_p, c_void_p), stream, buffer)
 extra = call("arv_stream_timeout_pop_buffer", c_void_p, (c_void_p, c_uint64), stream, 200_000)

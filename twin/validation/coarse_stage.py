@@ -1,7 +1,8 @@
 """What the paper's method makes of a stage of 10 µm: the figure that the paper's own stage has.
 
-A second twin differs from the one under test in its stage alone. Only the planes are captured again: the postures, and
-with them the camera, do not use the stage.
+A second twin differs from the one under test in its stage alone, and in pixels that are as coarse as the errors allow
+that are looked for: four by four of a full camera in one. Only the planes are captured again: the postures, and with
+them the camera, do not use the stage.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -14,8 +15,10 @@ from greenough.instrument.contract import BLANK, Placement, Rig
 from greenough.instrument.rigfile import load_rig_file
 from greenough.pipeline.acquisition import plane_phase
 from greenough.pipeline.calibration import Calibration
+from greenough.pipeline.camera_model import CameraModel
 from greenough.pipeline.decode import decode
 from greenough.pipeline.paper_method import fit_planes
+from greenough.pipeline.rays import rays_of_camera
 
 from ..bench import Bench
 from ..rig import open as open_twin
@@ -34,6 +37,7 @@ HEIGHTS_MM = (-1.4, -1.0, -0.5, 0.0, 0.5, 1.0, 1.4)
 planes, inside the 1.45 mm of the outermost of these, so that no plane is cut where its errors are large."""
 INSTRUMENTS = 40  # drawn for the share of them that keeps the limit: enough to tell a tenth from a half
 LIMIT_UM = 4.0
+COLS = 320  # of the coarse camera, at least: the finest fringes still span five pixels
 _STAGES = 2000  # with independent errors: a share of a tenth is known to 0.7 %
 SHARE_LIMIT = 0.95  # of instruments that would have to keep it, were such a stage enough
 
@@ -63,10 +67,11 @@ def coarse_stage_claims(
     position_sd_um : float
         Of the stages.
     """
-    coarse = [*overrides, f"twin.stage.position_sd_um={position_sd_um:g}"]
+    n = _binning(paper.camera.shape)
+    coarse = [*overrides, f"twin.stage.position_sd_um={position_sd_um:g}", *_coarse_pixels(rig_name, overrides, n)]
     rig, bench = open_twin(rig_name, coarse, run=RUN)
     with rig:
-        calibration = _calibrated(Setup(rig, bench, paper), advance)
+        calibration = _calibrated(Setup(rig, bench, _in_coarse_pixels(paper, n)), advance)
     # The same instrument in a run of its own: what drifts is not that of the calibration.
     rig, bench = open_twin(rig_name, coarse, run=MEASUREMENT_RUN)
     with rig:
@@ -112,6 +117,40 @@ def independent_errors_share(readings: np.ndarray, position_sd_um: float = POSIT
     relations = planes @ np.linalg.pinv(powers).T  # (stages, coefficients)
     error = relations @ at_zero.T - relations @ there.T - zero
     return float(np.mean(np.percentile(np.abs(error), 95, axis=1) <= LIMIT_UM))
+
+
+def binned(camera: CameraModel, n: int) -> CameraModel:
+    """The same camera with n x n of its pixels in one, whose centre is theirs."""
+    middle = (n - 1) / 2
+    rows, cols = camera.shape
+    return replace(
+        camera, fx=camera.fx / n, fy=camera.fy / n, skew=camera.skew / n, cx=(camera.cx - middle) / n,
+        cy=(camera.cy - middle) / n, shape=(rows // n, cols // n),
+    )  # fmt: skip
+
+
+def _binning(shape: tuple[int, int]) -> int:
+    """The most pixels in one, along either side, that leave ``COLS`` and divide the picture."""
+    rows, cols = shape
+    return next((n for n in range(cols // COLS, 1, -1) if rows % n == cols % n == 0), 1)
+
+
+def _coarse_pixels(rig_name: str, overrides: Sequence[str], n: int) -> list[str]:
+    """Settings of the twin whose camera is ``binned``."""
+    rig_file = load_rig_file(rig_name, overrides)
+    rows, cols = rig_file.camera.shape
+    focal = twin_settings(rig_file).optics.camera_focal_px
+    return [f"camera.rows={rows // n}", f"camera.cols={cols // n}", f"twin.optics.camera_focal_px={focal / n!r}"]
+
+
+def _in_coarse_pixels(paper: Calibration, n: int) -> Calibration:
+    """The calibration's camera in the same pixels; its relation is to be made anew."""
+    camera = binned(paper.camera, n)
+    v, u = ((grid - (n - 1) / 2) / n for grid in (paper.uncertainty.grid_v_px, paper.uncertainty.grid_u_px))
+    return replace(
+        paper, camera=camera, rays=rays_of_camera(camera, paper.camera_from_world),
+        uncertainty=replace(paper.uncertainty, grid_v_px=v, grid_u_px=u),
+    )  # fmt: skip
 
 
 def _calibrated(setup: Setup, advance: Callable[[float], None]) -> Calibration:

@@ -57,23 +57,21 @@ def survey(
         Otherwise all pixels count as ``lit``.
     """
     cols, rows = size
-    middle, rim = mi.Point2f(0.5), mi.Point2f(1, 0.5)
+    middle = mi.Point2f(0.5)
+    projectors = [emitter for emitter in scene.emitters() if isinstance(emitter, LensProjector)]
+    blur, *spreads = _widths(scene, projectors, size, camera_ray, wavelength_um)
     pixel = dr.arange(mi.UInt32, cols * rows)
-    ray, _ = camera_ray(pixel, middle, middle)
-    si = scene.ray_intersect(ray, mi.RayFlags.Minimal, coherent=True)
-    lit = dr.full(mi.Bool, False, cols * rows)
-    for emitter in scene.emitters():
-        ours = isinstance(emitter, LensProjector)
-        lit |= (si.is_valid() & _in_reach(emitter, si.p, wavelength_um)) if ours else True
-    # Radius of the disc that the pupil makes of a point, in pixels.
-    aside, beside = (
-        _beside(camera_ray(*more)[0], si.p, ray.d) for more in ((pixel, middle, rim), (pixel + 1, middle, middle))
-    )
-    blur = dr.select(si.is_valid(), aside / beside, 0.0)
+    si = scene.ray_intersect(camera_ray(pixel, middle, middle)[0], mi.RayFlags.Minimal, coherent=True)
+    lit = dr.full(mi.Bool, len(projectors) < len(scene.emitters()), cols * rows)
+    for projector, spread in zip(projectors, spreads, strict=True):
+        _, column, row, _ = projector.aim(si.p, middle, wavelength_um)
+        radius = mi.Float(packed(MARGIN * spread.ravel(), aligned=True))
+        across, down = (1 + radius / pitch for pitch in projector.pitch)
+        lit |= si.is_valid() & projector.reaches(column, row, across, down)
     shape = dr.reinterpret_array(mi.UInt32, si.shape)
-    dr.eval(lit, blur, shape)
+    dr.eval(lit, shape)
 
-    reach = 1 + np.ceil(MARGIN * blur.numpy().reshape(rows, cols))  # of a pixel, in pixels
+    reach = 1 + np.ceil(MARGIN * blur)  # of a pixel, in pixels
     everywhere = _window(int(reach.max()))
     picture = lit.numpy().reshape(rows, cols).astype(np.uint8)
     near_light = cv2.dilate(picture, everywhere, borderType=cv2.BORDER_CONSTANT, borderValue=1) > 0
@@ -85,6 +83,36 @@ def survey(
             window = _window(int(each))
             meet |= (reach == each) & (cv2.dilate(shapes, window) != cv2.erode(shapes, window))
     return Survey(*(_in_blocks(near_light & where) for where in (~meet, meet)))
+
+
+def _widths(
+    scene: mi.Scene, projectors: list[LensProjector], size: tuple[int, int], camera_ray: CameraRay, wavelength_um: float
+) -> list[np.ndarray]:
+    """Radii of the discs that the pupils make of a point of what each pixel sees, (rows, cols) float32 each.
+
+    The first is in the picture, in pixels, the others are on the projectors' arrays, in scene units. They vary slowly:
+    one pixel of a block is looked at, and the largest of the blocks around counts.
+    """
+    cols, rows = size
+    middle, rim = mi.Point2f(0.5), mi.Point2f(1, 0.5)
+    v, u = np.mgrid[:rows:BLOCK, :cols:BLOCK]
+    pixel = mi.UInt32(packed((v * cols + u).ravel().astype(np.uint32), aligned=True))
+    ray, _ = camera_ray(pixel, middle, middle)
+    si = scene.ray_intersect(ray, mi.RayFlags.Minimal, coherent=True)
+    aside, beside = (
+        _beside(camera_ray(*more)[0], si.p, ray.d) for more in ((pixel, middle, rim), (pixel + 1, middle, middle))
+    )
+    radii = [aside / beside]
+    for projector in projectors:
+        (_, column, row, _), (_, rim_column, rim_row, _) = (
+            projector.aim(si.p, sample, wavelength_um) for sample in (middle, rim)
+        )
+        across, down = projector.pitch
+        radii.append(dr.hypot((rim_column - column) * across, (rim_row - row) * down))
+    radii = [dr.select(si.is_valid(), radius, 0.0) for radius in radii]
+    dr.eval(radii)
+    largest = (cv2.dilate(radius.numpy().reshape(v.shape), _window(1)) for radius in radii)
+    return [each.repeat(BLOCK, axis=0).repeat(BLOCK, axis=1)[:rows, :cols] for each in largest]
 
 
 def _window(reach: int) -> np.ndarray:
@@ -106,15 +134,6 @@ def blocks(shape: tuple[int, int]) -> np.ndarray:
     rows, cols = shape
     row, col = np.divmod(np.arange(rows * cols, dtype=np.uint32), np.uint32(cols))
     return np.lexsort((col, row, col // BLOCK, row // BLOCK)).astype(np.uint32)
-
-
-def _in_reach(projector: LensProjector, p: mi.Point3f, wavelength_um: float) -> mi.Bool:
-    """Whether light of the patterns may come to ``p`` through some part of the pupil."""
-    _, column, row, _ = projector.aim(p, mi.Point2f(0.5), wavelength_um)
-    _, rim_column, rim_row, _ = projector.aim(p, mi.Point2f(1, 0.5), wavelength_um)
-    across, down = projector.pitch
-    radius = MARGIN * dr.hypot((rim_column - column) * across, (rim_row - row) * down)
-    return projector.reaches(column, row, 1 + radius / across, 1 + radius / down)
 
 
 def _beside(ray: mi.Ray3f, p: mi.Point3f, axis: mi.Vector3f) -> mi.Float:

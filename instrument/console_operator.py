@@ -148,5 +148,6 @@ def _name(placement: Placement) -> str:
     if placement.part == "board":
         return "the calibration board"
     if Path(placement.part).suffix:
-        return f"the part whose mesh is {placement.part}"
+        made_of = "" if placement.material is None else f" of {placement.material}"
+        return f"the part{made_of} whose mesh is {placement.part}"
     return f"the sample {placement.part}"

@@ -32,6 +32,8 @@ class Placement:
     pose_mm_deg : tuple of 6 floats
         Where a person puts a sample or a mesh file: rotations about x, y, z in degrees, applied in that order, after
         which it is shifted by x, y, z in mm.
+    material : str or None
+        What the part of a mesh file is made of, by a name that the rig knows; None leaves it to the rig.
     """
 
     part: str
@@ -39,6 +41,7 @@ class Placement:
     face: Literal["printed", "blank"] = PRINTED
     unit: str = "mm"
     pose_mm_deg: tuple[float, float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    material: str | None = None
 
 
 @dataclass(frozen=True)

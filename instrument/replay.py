@@ -265,4 +265,5 @@ def _name(placement: Placement | None) -> str:
         return "an empty table"
     posture = "" if placement.posture is None else f" in posture {placement.posture}"
     face = "" if placement.face == "printed" else f" on its {placement.face} face"
-    return f"{placement.part}{posture}{face}"
+    made_of = "" if placement.material is None else f" of {placement.material}"
+    return f"{placement.part}{made_of}{posture}{face}"

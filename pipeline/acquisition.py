@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from greenough.instrument.contract import BLANK, Frames, Placement, Procedure, Rig
+from greenough.instrument.contract import BLANK, CameraNoise, Frames, Placement, Procedure, Rig
 from greenough.instrument.errors import InputError
 
 from .bundle_data import SpotPhases, check_spot_phases, measure_spot_phases
@@ -20,6 +20,7 @@ from .decode import PhaseMap, decode
 from .deconvolution import deconvolve_phasors
 from .exposure import auto_exposure, capture_bracketed
 from .fringes import FringeSet
+from .grey_variance import GreyVariance
 from .paper_method import calibrate_by_paper
 from .phase_height import MIN_PLANES
 from .phasor_filter import filter_phasors
@@ -273,27 +274,31 @@ def measure_phase(
 ) -> PhaseMap:
     """The phase map of one part, as `measure` takes it."""
     calibration.check_fits(rig.identity, rig.camera.shape)
-    rig.operator.place(placement)
-    rig.stage.move_to_mm(0.0)
-    auto_exposure(rig)
     fringes = calibration.fringes
-    patterns = fringes.patterns(*rig.projector.shape)
-    low, high = rig.camera.exposure_limits_us
-    possible = tuple(ratio for ratio in brackets if low <= ratio * rig.camera.exposure_us <= high)
-    if len(possible) < len(brackets):
-        _log.warning("%s: only the brackets %s are within the camera's exposures", placement.part, possible)
-    if possible == (1.0,):
-        frames = rig.capture(patterns)
-        noise = rig.camera.noise
-    else:
-        merged = capture_bracketed(rig, patterns, possible)
-        frames, noise = merged.frames, merged.variance
+    frames, noise = capture_part(rig, placement, fringes.patterns(*rig.projector.shape), brackets)
     if frames.run == calibration.run and frames.serials.min() < calibration.exposures:
         raise InputError(
             f"exposure {frames.serials.min()} of run {frames.run!r} belongs to the calibration already: measure in a "
             "run of another name (--run)"
         )
     return decode(frames, fringes, noise)
+
+
+def capture_part(
+    rig: Rig, placement: Placement, patterns: np.ndarray, brackets: Sequence[float] = (1.0,)
+) -> tuple[Frames, CameraNoise | GreyVariance]:
+    """Frames of ``patterns`` (frames, rows, cols) on a part, exposed and merged as `measure` does, and their noise."""
+    rig.operator.place(placement)
+    rig.stage.move_to_mm(0.0)
+    auto_exposure(rig)
+    low, high = rig.camera.exposure_limits_us
+    possible = tuple(ratio for ratio in brackets if low <= ratio * rig.camera.exposure_us <= high)
+    if len(possible) < len(brackets):
+        _log.warning("%s: only the brackets %s are within the camera's exposures", placement.part, possible)
+    if possible == (1.0,):
+        return rig.capture(patterns), rig.camera.noise
+    merged = capture_bracketed(rig, patterns, possible)
+    return merged.frames, merged.variance
 
 
 def plane_heights(rig: Rig) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -12,6 +12,9 @@ from greenough.instrument.verbs import JsonOption, RigArgument, RunOption, SetOp
 
 from .decode_command import app as decode_app
 from .method import Method
+
+if TYPE_CHECKING:
+    from greenough.instrument.contract import Placement
 
 app = typer.Typer()
 app.add_typer(decode_app)
@@ -56,10 +59,24 @@ def calibrate(
 @app.command()
 def measure(
     rig: RigArgument,
-    calibration: Annotated[Path, typer.Option("--calibration", metavar="CAL.h5", help="Of `greenough calibrate`.")],
     sample: Annotated[str, typer.Option("--sample", metavar="NAME|MESHFILE", help="The part to lay under the lenses.")],
-    out: Annotated[Path, typer.Option("--out", metavar="CLOUD.ply", help="The point cloud to write.")],
+    calibration: Annotated[
+        Path | None, typer.Option("--calibration", metavar="CAL.h5", help="Of `greenough calibrate`.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option("--out", metavar="CLOUD.ply", help="The point cloud to write.")] = None,
+    preview: Annotated[
+        Path | None,
+        typer.Option(
+            "--preview",
+            metavar="PICTURE.png",
+            help="Measure nothing: draw what the camera sees, and mark what is saturated or too dark. Needs neither "
+            "--calibration nor --out.",
+        ),
+    ] = None,
     unit: Annotated[str, typer.Option("--unit", help="Unit of a mesh file: mm, um, m or inch.")] = "mm",
+    material: Annotated[
+        str | None, typer.Option("--material", help="Of a mesh file, as the twin's are called. [default: matte]")
+    ] = None,
     pose: Annotated[
         str, typer.Option("--pose", metavar="X,Y,Z,A,B,C", help="Where the sample lies: mm and degrees about x, y, z.")
     ] = "0,0,0,0,0,0",
@@ -78,7 +95,10 @@ def measure(
     settings: SetOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Measure a part and write its points in the calibrated frame."""
+    """Measure a part and write its points in the calibrated frame.
+
+    The same command with --preview looks at the part first, in a few frames.
+    """
     import numpy as np
 
     from greenough.instrument.contract import Placement
@@ -88,8 +108,14 @@ def measure(
     from .calibration import Calibration
     from .point_cloud import PointCloud, write_cloud
 
+    placement = Placement(sample, unit=unit, pose_mm_deg=_pose(pose), material=material)
+    if preview is not None:
+        run = run or f"preview-{Path(sample).stem}"
+        _look(rig, settings, run, placement, bracket, preview, as_json)
+        return
+    if calibration is None or out is None:
+        raise InputError("measuring needs --calibration and --out; --preview looks at the part without")
     loaded = Calibration.load(calibration)
-    placement = Placement(sample, unit=unit, pose_mm_deg=_pose(pose))
     run = run or f"measure-{Path(sample).stem}"
     with (
         open_rig(rig, settings or (), run=run) as opened,
@@ -110,6 +136,8 @@ def measure(
         "deconvolved": "yes" if deconvolve else "no",
         "filter": "none" if filter_fwhm_px is None else filtered,
     }
+    if material is not None:
+        facts["material"] = material
     cloud = PointCloud.from_point_map(points, facts=facts)
     if len(cloud.xyz) == 0:
         raise InputError(f"no point of {sample} could be measured: check that it lies in the light and in the z range")
@@ -194,6 +222,42 @@ def export(
     points = read_cloud(cloud)
     export_cloud(points, out)
     show({"file": out, "points": len(points.xyz), "unit": "mm", "bytes": out.stat().st_size}, as_json)
+
+
+def _look(
+    rig: str,
+    settings: list[str] | None,
+    run: str,
+    placement: "Placement",
+    bracket: bool,
+    picture: Path,
+    as_json: bool,
+) -> None:
+    """`measure --preview`."""
+    from greenough.instrument.opening import open_rig
+
+    from .fringes import FringeSet
+    from .preview import preview, write_preview
+
+    if picture.suffix.lower() != ".png":
+        raise InputError(f"--preview {picture}: the name must end in .png")
+    with (
+        open_rig(rig, settings or (), run=run) as opened,
+        progress(1, f"looking at {placement.part}", quiet=as_json) as advance,
+    ):
+        procedure = opened.procedure
+        fringes = FringeSet(procedure.periods_px, procedure.steps)
+        seen = preview(opened, placement, fringes, procedure.brackets if bracket else (1.0,))
+        name = opened.identity.name
+        advance(1)
+    write_preview(picture, seen, f"{placement.part} at {name}")
+    shares = {
+        "measurable_share": seen.measurable.mean(),
+        "saturated_share": seen.saturated.mean(),
+        "weak_share": seen.weak.mean(),
+    }
+    facts = {"sample": placement.part, "rig": name, "run": run, "exposure_us": seen.exposure_us}
+    show({"picture": picture, **shares, **facts}, as_json)
 
 
 def _pose(text: str) -> tuple[float, float, float, float, float, float]:

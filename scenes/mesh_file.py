@@ -8,20 +8,23 @@ from scipy.spatial.transform import Rotation
 
 from greenough.instrument.errors import InputError
 
+from .materials import MATERIALS
 from .parts import Part, Specimen
 
 UNITS_MM = {"um": 1e-3, "mm": 1.0, "m": 1e3, "inch": 25.4}
 HALF_VOLUME_MM = (6.5, 5.0, 1.6)  # what a specimen may fill to either side of the origin
 MIN_SIZE_MM = 0.1  # about ten pixels: a smaller one was meant in another unit
 SUFFIXES = (".stl", ".ply", ".obj")
+USUAL_MATERIAL = "matte"
 
 
 def load_mesh(
     path: str | Path,
     unit: str = "mm",
     pose_mm_deg: tuple[float, float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+    material: str = USUAL_MATERIAL,
 ) -> Specimen:
-    """Read a mesh file as a matte specimen.
+    """Read a mesh file as a specimen of one material.
 
     Parameters
     ----------
@@ -32,14 +35,19 @@ def load_mesh(
     pose_mm_deg : 6 floats
         Where it is put: the file's geometry is turned about its own x axis, then y, then z (degrees, fixed axes
         through its origin), then its origin is moved to (x, y, z) in mm.
+    material : str
+        A name in :data:`greenough.scenes.materials.MATERIALS`.
 
     Raises
     ------
     InputError
-        If the file cannot be read, has no faces or a vertex that is not finite, the unit is unknown, the pose is not
-        six finite numbers, or the posed mesh reaches beyond ± 6.5 x 5.0 x 1.6 mm or is smaller than 0.1 mm.
+        If the file cannot be read, has no faces or a vertex that is not finite, the unit or the material is unknown,
+        the pose is not six finite numbers, or the posed mesh reaches beyond ± 6.5 x 5.0 x 1.6 mm or is smaller than
+        0.1 mm.
     """
     path = Path(path)
+    if material not in MATERIALS:
+        raise InputError(f"the material of {path} is {material!r}; choose one of {', '.join(MATERIALS)}")
     if unit not in UNITS_MM:
         raise InputError(f"unit of {path} is {unit!r}; choose one of {', '.join(UNITS_MM)}")
     pose = np.asarray(pose_mm_deg, float)
@@ -59,7 +67,7 @@ def load_mesh(
             f"{path} read in {unit} measures {box} mm around ({middle}) mm, but must measure at "
             f"least {MIN_SIZE_MM:g} mm and stay inside {limit} mm; check its unit and pose"
         )
-    return Specimen(path.stem, (Part(vertices, faces, None, "matte"),))
+    return Specimen(path.stem, (Part(vertices, faces, None, material),))
 
 
 def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:

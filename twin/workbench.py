@@ -13,7 +13,7 @@ from greenough.instrument.errors import InputError
 from greenough.instrument.rigfile import RigFile
 from greenough.scenes.board import BoardErrors, PrintedBoard, blank_height, board, print_board
 from greenough.scenes.catalogue import FLAT, NAMES, specimen
-from greenough.scenes.mesh_file import load_mesh
+from greenough.scenes.mesh_file import USUAL_MATERIAL, load_mesh
 from greenough.scenes.parts import Part, Specimen, transform
 
 from .placing import flat, lifted, on_wedge, posed, tilted
@@ -64,11 +64,24 @@ class Workbench:
         return print_board(self._rig_file.board.nominal, errors, instrument_rng(self._settings.seed, part))
 
     def place(self, placement: Placement) -> None:
-        """Mount a part. Raises InputError for one that neither the rig knows nor is a mesh file, or a bad pose."""
+        """Mount a part.
+
+        Raises InputError for one that neither the rig knows nor is a mesh file, a bad pose, a material that is not
+        known, or one for what is no mesh file.
+        """
         self.mounted = self._mount(placement)
 
     def _mount(self, placement: Placement) -> Mounted:
         seed = self._settings.seed
+        if Path(placement.part).suffix:
+            material = USUAL_MATERIAL if placement.material is None else placement.material
+            part = load_mesh(placement.part, placement.unit, placement.pose_mm_deg, material)
+            return Mounted(placement, part, np.eye(4), flat=False)
+        if placement.material is not None:
+            raise InputError(
+                f"the {placement.part} has materials of its own; leave {placement.material!r} out, which is for mesh "
+                "files"
+            )
         if placement.part in BOARDS:
             if any(placement.pose_mm_deg):
                 raise InputError(
@@ -82,9 +95,6 @@ class Workbench:
             else:
                 pose = self.table_from_turned_board(placement.part)
             return Mounted(placement, _face(printed, placement.face), pose, flat=True)
-        if Path(placement.part).suffix:
-            part = load_mesh(placement.part, placement.unit, placement.pose_mm_deg)
-            return Mounted(placement, part, np.eye(4), flat=False)
         if placement.part not in NAMES:
             known = ", ".join((*BOARDS, *NAMES))
             raise InputError(

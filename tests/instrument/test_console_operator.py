@@ -35,6 +35,7 @@ def scripted(answers: str, **settings) -> tuple[ConsoleOperator, io.StringIO]:
         (Placement("board", face=BLANK), ["Turn", "board", "flat", "blank side up"]),
         (COIN, ["sample coin", "flat"]),
         (Placement("lab/part.stl", unit="um"), ["lab/part.stl", "mesh"]),
+        (Placement("part.stl", material="metal"), ["the part of metal", "part.stl"]),
         (
             Placement("part.stl", pose_mm_deg=(0, 0, 30, 1, -0.5, 0)),
             ["0, 0 and 30 degrees about x, y and z", "1, -0.5 and 0 mm"],

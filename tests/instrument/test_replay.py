@@ -1,3 +1,4 @@
+import json
 import subprocess
 import sys
 from dataclasses import replace
@@ -11,7 +12,7 @@ from hypothesis import strategies as st
 
 from greenough.instrument.contract import Frames, Placement, Rig
 from greenough.instrument.errors import InputError
-from greenough.instrument.journal import describe
+from greenough.instrument.journal import Placed, describe, events_from_json, to_json
 from greenough.instrument.recording import record
 from greenough.instrument.replay import open_recording
 
@@ -20,6 +21,8 @@ PLACEMENTS = [
     Placement("board", posture=3),
     Placement("board", face="blank"),
     Placement("coin", unit="um", pose_mm_deg=(0.1, -0.0, 0.3, 1e-7, 5.0, 6.0)),
+    Placement("coin"),
+    Placement("coin", material="metal"),
 ]
 
 # What a program may ask of a rig: few values, so that the same is asked more than once.
@@ -58,6 +61,13 @@ def bits(answer: Any) -> Any:
     exact = [(array.dtype.str, array.shape, array.tobytes()) for array in arrays]
     empty = np.zeros(0)
     return exact, replace(answer, stack=empty, serials=empty, times_s=empty).__repr__()
+
+
+def test_what_was_recorded_before_placements_had_materials_is_read():
+    placed = Placed(Placement("part.stl", unit="um"))
+    (older,) = json.loads(to_json([placed]))
+    del older["placement"]["material"]
+    assert events_from_json(json.dumps([older]), "a recording") == [placed]
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])

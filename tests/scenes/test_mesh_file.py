@@ -40,6 +40,12 @@ def test_a_pose_turns_about_x_then_y_then_z_and_then_moves(tmp_path):
     np.testing.assert_allclose(vertices - [1, 2, 0.5], [[0, 0, 0], [0, 1, 0], [0, 0, 1]], atol=1e-12)
 
 
+def test_a_mesh_is_of_the_material_that_it_is_said_to_be_and_matte_otherwise(tmp_path, box):
+    path = tmp_path / "box.stl"
+    path.write_bytes(box.export(file_type="stl"))
+    assert [load_mesh(path, **said).parts[0].material for said in ({}, {"material": "solder"})] == ["matte", "solder"]
+
+
 def test_larger_polygons_and_several_objects_are_read_as_triangles(tmp_path):
     path = tmp_path / "objects.obj"
     square = "o a\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nusemtl q\nf 1 2 3 4\n"
@@ -90,13 +96,14 @@ def test_a_missing_file_is_refused(tmp_path):
         ({"unit": "m"}, "measures 4000 x 3000 x 1000 mm"),
         ({"unit": "um"}, "measures 0.004 x 0.003 x 0.001 mm"),
         ({"unit": "cm"}, "choose one of um, mm, m, inch"),
+        ({"material": "cheese"}, "'cheese'; choose one of ceramic, ink, matte, metal, solder, substrate, film"),
         ({"pose_mm_deg": (0, 0, 3, 0, 0, 0)}, r"around \(0, 0, 3\) mm"),
         ({"pose_mm_deg": (0, 0, 0, 0, 90, 0)}, "measures 1 x 3 x 4 mm"),
         ({"pose_mm_deg": (0, 0, float("nan"), 0, 0, 0)}, "six finite numbers"),
         ({"pose_mm_deg": (0, 0, 0)}, "six finite numbers"),
     ],
 )
-def test_a_wrong_unit_or_pose_is_refused_with_the_size_found(tmp_path, box, arguments, sentence):
+def test_a_wrong_unit_pose_or_material_is_refused_with_what_would_do(tmp_path, box, arguments, sentence):
     path = tmp_path / "box.stl"
     path.write_bytes(box.export(file_type="stl"))
     with pytest.raises(InputError, match=sentence):

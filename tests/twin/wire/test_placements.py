@@ -15,7 +15,7 @@ from greenough.instrument.errors import InputError
 from greenough.instrument.remote_operator import LONGEST_LINE, RemoteOperator
 from greenough.twin.wire.placements import PlacementServer, answer
 
-MESH = Placement("part.stl", unit="um", pose_mm_deg=(1.5, -0.25, 0.0, 0.0, 2.0, 1e-3))
+MESH = Placement("part.stl", unit="um", pose_mm_deg=(1.5, -0.25, 0.0, 0.0, 2.0, 1e-3), material="metal")
 
 
 @pytest.mark.parametrize("placement", [Placement("coin"), Placement("board", 3), Placement("board", face=BLANK), MESH])

@@ -78,6 +78,11 @@ class Frames:
     times_s: np.ndarray
     run: str = ""
 
+    def _repr_html_(self) -> str:
+        from .notebook import frames_html
+
+        return frames_html(self)
+
 
 @dataclass(frozen=True)
 class CameraNoise:

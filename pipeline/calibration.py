@@ -141,6 +141,11 @@ class Calibration:
     instrument: InstrumentModel | None = None
     point_spread: PointSpread | None = None
 
+    def _repr_html_(self) -> str:
+        from .notebook import calibration_html
+
+        return calibration_html(self)
+
     @property
     def fringes(self) -> FringeSet:
         """The fringes that the phases belong to."""

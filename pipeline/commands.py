@@ -198,7 +198,7 @@ def compare(
     if tolerance_um is None:
         show(summary, as_json)
         return
-    holds = bool(result.row("vertical").p95_um <= tolerance_um)
+    holds = result.within(tolerance_um)
     show({**summary, "tolerance_um": tolerance_um, "within_tolerance": holds}, as_json)
     if not holds:
         raise typer.Exit(1)

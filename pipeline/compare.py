@@ -72,12 +72,21 @@ class Comparison:
     points: int
     valid_share: float | None
 
+    def _repr_html_(self) -> str:
+        from .notebook import comparison_html
+
+        return comparison_html(self)
+
     def row(self, quantity: str, points: str = "all") -> ErrorRow:
         """The row of a quantity; KeyError if there is none."""
         for row in self.rows:
             if (row.quantity, row.points) == (quantity, points):
                 return row
         raise KeyError((quantity, points))
+
+    def within(self, tolerance_um: float) -> bool:
+        """Whether 95 % of all vertical errors stay within a tolerance; not if there are none."""
+        return bool(self.row("vertical").p95_um <= tolerance_um)
 
 
 def compare(cloud: PointCloud, mesh: Mesh, align: Alignment = "none") -> Comparison:

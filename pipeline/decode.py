@@ -5,7 +5,7 @@ Grey values are in DN. The frames of a set are I_n = A + B cos(Φ + 2π n / N).
 
 from dataclasses import dataclass
 from math import inf
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,6 +19,9 @@ from .jit import Array2u8, Bool, Float, UInt8, UInt32, dr
 from .order_search import ColumnWindow, check_orders, search_order
 from .phase_shifting import estimate_phasor
 from .unwrap import RESIDUAL_LIMIT, is_modulated, order_is_safe, unwrap
+
+if TYPE_CHECKING:
+    from xarray import Dataset
 
 
 @dataclass(frozen=True)
@@ -52,6 +55,17 @@ class PhaseMap:
     residual: np.ndarray
     sigma: np.ndarray
     exposures: int = 0
+
+    def to_xarray(self) -> "Dataset":
+        """See `datasets.phase_map_dataset`."""
+        from .datasets import phase_map_dataset
+
+        return phase_map_dataset(self)
+
+    def _repr_html_(self) -> str:
+        from .notebook import phase_map_html
+
+        return phase_map_html(self)
 
 
 def decode(

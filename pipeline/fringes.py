@@ -66,6 +66,11 @@ class FringeSet:
                 f"fringe set: start {self.start:g} must be a finite angle and the sign, {self.sign}, 1 or -1"
             )
 
+    def _repr_html_(self) -> str:
+        from .notebook import fringe_set_html
+
+        return fringe_set_html(self)
+
     @property
     def frame_count(self) -> int:
         """Number of patterns of all sets together."""

@@ -7,7 +7,7 @@ Clouds and meshes are written as binary little-endian PLY in mm, with facts in h
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import trimesh
@@ -16,6 +16,9 @@ from greenough.instrument.errors import InputError
 from greenough.instrument.files import atomic_path
 
 from .reconstruct import PointMap
+
+if TYPE_CHECKING:
+    from xarray import Dataset
 
 _FACT = "comment greenough "
 _PLY_TYPES = {
@@ -52,6 +55,17 @@ class PointCloud:
     noise_mm: np.ndarray | None = None
     calibration_mm: np.ndarray | None = None
     facts: Mapping[str, str] = field(default_factory=dict)
+
+    def to_xarray(self) -> "Dataset":
+        """See `datasets.point_cloud_dataset`."""
+        from .datasets import point_cloud_dataset
+
+        return point_cloud_dataset(self)
+
+    def _repr_html_(self) -> str:
+        from .notebook import point_cloud_html
+
+        return point_cloud_html(self)
 
     @classmethod
     def from_point_map(

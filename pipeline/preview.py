@@ -19,6 +19,7 @@ from .unwrap import is_modulated, order_is_safe
 
 _STEPS = 4
 _SATURATED_COLOUR, _WEAK_COLOUR = (0.84, 0.15, 0.12), (0.16, 0.38, 0.85)
+_WEAK_ON_BLACK = (0.11, 0.27, 0.6)  # the same where the picture is black
 _TINT = 0.7  # share of the colour where light is too weak; the rest is the picture
 _WIDTH_IN, _DPI = 13.0, 120
 
@@ -59,9 +60,9 @@ class Preview:
 def preview(rig: Rig, placement: Placement, fringes: FringeSet, brackets: Sequence[float] = (1.0,)) -> Preview:
     """Look at a part as `acquisition.measure` would, in five frames: white, and the densest fringes in four steps.
 
-    No calibration is needed, and nothing is decoded. The modulation of the densest fringes stands for that of all, which
-    is no less. What decoding finds out from more frames is not foreseen: light that comes from other parts of the
-    specimen, and orders that the wrap of the coarsest fringes leaves open.
+    No calibration is needed, and nothing is decoded. The modulation of the densest fringes stands for that of all,
+    which is no less. What decoding finds out from more frames is not foreseen: light that comes from other parts of
+    the specimen, and orders that the wrap of the coarsest fringes leaves open.
 
     Parameters
     ----------

@@ -2,12 +2,16 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .calibration import Calibration
 from .calibration_uncertainty import CalibrationUncertainty
 from .decode import PhaseMap
+
+if TYPE_CHECKING:
+    from xarray import Dataset
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +36,17 @@ class PointMap:
     xyz: np.ndarray
     noise_mm: np.ndarray | None = None
     uncertainty: CalibrationUncertainty | None = None
+
+    def to_xarray(self) -> "Dataset":
+        """See `datasets.point_map_dataset`."""
+        from .datasets import point_map_dataset
+
+        return point_map_dataset(self)
+
+    def _repr_html_(self) -> str:
+        from .notebook import point_map_html
+
+        return point_map_html(self)
 
     @property
     def valid(self) -> np.ndarray:

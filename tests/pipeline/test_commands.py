@@ -8,15 +8,11 @@ import pytest
 
 from greenough.instrument import opening
 from greenough.instrument.command import run
-from greenough.instrument.contract import KnownUncertainty, Procedure, RigIdentity, SpotBoard
+from greenough.instrument.contract import Procedure, RigIdentity
 from greenough.pipeline import acquisition, commands
-from greenough.pipeline.calibration import Calibration, Residuals
-from greenough.pipeline.calibration_uncertainty import CalibrationUncertainty
-from greenough.pipeline.camera_model import CameraModel
-from greenough.pipeline.phase_height import PhaseHeight
 from greenough.pipeline.point_cloud import Mesh, PointCloud, read_cloud, write_cloud, write_mesh
-from greenough.pipeline.rays import Rays
 from greenough.pipeline.reconstruct import PointMap
+from small_calibration import SHAPE, small_calibration
 
 
 class Source:
@@ -113,36 +109,7 @@ class Opened:
 @pytest.fixture
 def measured(tmp_path, monkeypatch):
     """Runs `measure` with the procedure replaced; returns what the procedure was asked for, and the cloud."""
-    shape = (3, 4)
-    relation = PhaseHeight(
-        np.zeros((*shape, 4), np.float32),
-        np.zeros(shape, np.float32),
-        np.ones(shape, np.float32),
-        np.zeros((*shape, 2), np.float32),
-        np.ones(shape, bool),
-    )
-    nothing = np.full(shape, np.nan, np.float32)
-    Calibration(
-        method="bundle",
-        camera=CameraModel(100.0, 100.0, 0.0, 2.0, 1.5, 0.0, 0.0, 0.0, 0.0, shape),
-        camera_from_world=np.eye(4),
-        rays=Rays(np.zeros((*shape, 2), np.float32), np.zeros((*shape, 2), np.float32)),
-        phase_height=relation,
-        identity=RigIdentity("bench", "1", "2", "0" * 64),
-        board=SpotBoard(5, 7, 1.2, 0.8, 0.5, 8.0, ((2, 3), (2, 4), (1, 3))),
-        procedure=Opened.procedure,
-        known=KnownUncertainty(3e-5, 5e-4, 5e-5),
-        run="calibrate",
-        exposures=0,
-        figures={},
-        residuals=Residuals(nothing[None], nothing[None], nothing, nothing[None], nothing),
-        uncertainty=CalibrationUncertainty(
-            np.array([-1.45, 1.45]),
-            *(np.array([0.0, n - 1.0]) for n in shape),
-            np.zeros((1, 2, 2, 2, 3), np.float32),
-            np.zeros(2),
-        ),
-    ).save(tmp_path / "cal.h5")
+    small_calibration(Opened.procedure).save(tmp_path / "cal.h5")
     asked = {}
 
     def open_rig(name, overrides, **options):
@@ -151,7 +118,7 @@ def measured(tmp_path, monkeypatch):
 
     def measure(rig, calibration, placement, brackets, filter_fwhm_px, deconvolve):
         asked.update(placement=placement, brackets=brackets, filter=filter_fwhm_px, deconvolve=deconvolve)
-        return PointMap(np.ones((*shape, 3)))
+        return PointMap(np.ones((*SHAPE, 3)))
 
     monkeypatch.setattr(opening, "open_rig", open_rig)
     monkeypatch.setattr(acquisition, "measure", measure)

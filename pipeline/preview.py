@@ -126,7 +126,7 @@ def write_preview(path: str | Path, seen: Preview, title: str) -> None:
     marks = [
         Patch(color=_SATURATED_COLOUR, label=f"saturated {seen.saturated.mean():.1%}"),
         Patch(
-            color=[_TINT * part for part in _WEAK_COLOUR],
+            color=_WEAK_ON_BLACK,
             label=f"too dark, or fringes too faint {seen.weak.mean():.1%}",
         ),
     ]

@@ -64,7 +64,9 @@ def write_error_map(
     figure.colorbar(drawn, ax=places, label="vertical error, µm", extend="both")
     if known.any():
         worst = int(np.nanargmax(np.abs(errors_um)))
-        places.plot(*where[worst], "o", markersize=14, fillstyle="none", color="black")
+        for width, colour in ((3, "white"), (1.2, "black")):  # to be seen on any ground
+            circle = {"markersize": 14, "fillstyle": "none", "clip_on": False}
+            places.plot(*where[worst], "o", color=colour, markeredgewidth=width, **circle)
         places.set_title(f"circle: the worst, {errors_um[worst]:+.4g} µm", fontsize="small")
         counts.hist(np.clip(errors_um[known], -scale, scale), _BINS, range=(-scale, scale), color="0.4")
         share = np.mean(sizes <= tolerance_um)
@@ -78,7 +80,7 @@ def write_error_map(
         places.set_title("no point lies above or below the mesh", fontsize="small")
     for side in (-tolerance_um, tolerance_um):
         counts.axvline(side, color="tab:red", linestyle="--")
-    counts.set_xlabel("vertical error, µm; what lies beyond is in the outermost bars")
+    counts.set_xlabel("vertical error, µm (outermost bars: and beyond)")
     counts.set_ylabel("points")
     with atomic_path(path) as temporary:
         figure.savefig(temporary)

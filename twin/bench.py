@@ -41,6 +41,17 @@ class Truth:
     lit_and_seen: np.ndarray
     world_from_twin: np.ndarray
 
+    def _repr_html_(self) -> str:
+        from greenough.instrument.notebook import card, map_picture, share, span
+
+        z = self.xyz_world[..., 2]
+        facts = {
+            "rows x columns": " x ".join(str(size) for size in z.shape),
+            "pixels lit and seen": share(int(self.lit_and_seen.sum()), self.lit_and_seen.size),
+            "z in the calibrated frame, mm": span(z),
+        }
+        return card("Truth", facts, [map_picture(np.where(self.lit_and_seen, z, np.nan), "true z, mm")])
+
     @property
     def xyz_world(self) -> np.ndarray:
         """``xyz`` in the calibrated frame, (rows, cols, 3)."""

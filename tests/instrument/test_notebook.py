@@ -5,7 +5,7 @@ import sys
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from greenough.instrument.contract import Frames
@@ -21,6 +21,7 @@ def frames(count=3, run="friday", dtype=np.uint8):
 
 
 @given(st.text(st.characters(codec="utf-8", exclude_characters="\r\0"), max_size=60))
+@example(MARKUP)
 def test_any_text_comes_back_from_the_page_as_it_was(text):
     page = Page(card(text, {text: text}) + table([(text,)], [text]))
     assert [line for line in page.rows if line] == [[text, text], [text], [text]]

@@ -62,6 +62,25 @@ def test_what_is_called_measurable_is_what_decoding_calls_valid(placement, fring
     assert (valid & ~seen.measurable)[inside].mean() < 0.02
 
 
+def test_the_limit_of_what_is_too_faint_is_that_of_decoding():
+    class Fading(PlainRig):
+        """From dark on the left to little light on the right."""
+
+        def capture(self, patterns):
+            frames = super().capture(patterns)
+            fading = 4 + (frames.stack - 4.0) * np.linspace(0, 0.06, frames.stack.shape[2])
+            return replace(frames, stack=np.rint(fading).astype(np.uint8))
+
+    rig = Fading()
+    rig.camera.exposure_limits_us = (20_000.0, 20_000.0)  # of which one makes the whole part grey
+    rig.camera.exposure_us = 20_000.0
+    seen = preview(rig, PLANE, PAPER)
+    frames, noise = capture_part(rig, PLANE, PAPER.patterns(2, 608))
+    valid = decode(frames, PAPER, noise).valid
+    assert 0.2 < valid.mean() < 0.5
+    assert seen.measurable.mean() == pytest.approx(valid.mean(), abs=0.01)
+
+
 def test_glints_and_shadows_are_told_apart():
     rig = GlintingRig()
     seen = preview(rig, PLANE, PAPER)

@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose
 from greenough.instrument.contract import Placement, SpotBoard
 from greenough.twin import Truth
 from greenough.twin.rig import fringe_patterns
+from notebook_page import Page
 
 DISTANCE, HALF_ANGLE = 224.56, np.radians(6.0)
 SINE, COSINE = np.sin(HALF_ANGLE), np.cos(HALF_ANGLE)
@@ -299,3 +300,13 @@ def test_the_meshes_in_the_world_are_what_the_rays_meet(small):
     faces = np.concatenate([part.faces + offset for part, offset in zip(parts, offsets, strict=True)])
     _, distance, _ = trimesh.Trimesh(vertices, faces, process=False).nearest.on_surface(xyz[:40])
     assert np.max(distance) < 1e-5
+
+
+def test_the_truth_shows_itself_in_a_notebook(small):
+    rig, bench = small(perfect=True)
+    rig.operator.place(Placement("coin"))
+    truth = bench.truth()
+    page = Page(truth._repr_html_())
+    assert len(page.pictures) == 1
+    count = truth.lit_and_seen.sum()
+    assert page.facts["pixels lit and seen"] == f"{count:,} of 4,800 ({count / 4800:.1%})"

@@ -206,22 +206,44 @@ def compare(
 
 @app.command()
 def export(
-    cloud: Annotated[Path, typer.Argument(metavar="CLOUD", help="Measured points: PLY.")],
-    out: Annotated[
-        Path, typer.Option("--out", metavar="FILE", help="Its ending says what: .xyz, .asc, .npz, .stl, .obj or .ply.")
+    source: Annotated[
+        Path, typer.Argument(metavar="CLOUD|CAL.h5", help="Measured points, PLY, or a calibration, for its camera.")
     ],
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out",
+            metavar="FILE",
+            help="Its ending says what. Points: .ply, .xyz, .asc, .npz; surface: .stl, .obj; height map: .x3p, .gwy, "
+            ".gsf; camera: .yaml, .json, .xml.",
+        ),
+    ],
+    pitch_um: Annotated[
+        float | None,
+        typer.Option("--pitch-um", help="From node to node of a height map. [default: as far as pixels are apart]"),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Write measured points as other programs read them, in mm.
+    """Write measured points, or a calibrated camera, as other programs read them.
 
-    A surface, STL or OBJ, has triangles between neighbouring pixels and is open where nothing was measured.
+    Points and surfaces are in mm, height maps in m. A surface has triangles between neighbouring pixels and is open
+    where nothing was measured. A height map is linear inside these triangles and void elsewhere.
     """
-    from .export import export_cloud
+    from .export import CAMERA_ENDINGS, export_cloud
     from .point_cloud import read_cloud
 
-    points = read_cloud(cloud)
-    export_cloud(points, out)
-    show({"file": out, "points": len(points.xyz), "unit": "mm", "bytes": out.stat().st_size}, as_json)
+    if out.suffix.lower() in CAMERA_ENDINGS:
+        from .calibration import Calibration
+        from .camera_file import write_camera
+
+        if pitch_um is not None:
+            raise InputError("--pitch-um is for height maps: a camera has none")
+        write_camera(Calibration.load(source), out)
+        show({"file": out, "unit": "px, mm", "bytes": out.stat().st_size}, as_json)
+        return
+    points = read_cloud(source)
+    written = export_cloud(points, out, None if pitch_um is None else 1e-3 * pitch_um)
+    show({"file": out, "points": len(points.xyz), **written, "bytes": out.stat().st_size}, as_json)
 
 
 def _look(

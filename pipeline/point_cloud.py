@@ -27,6 +27,11 @@ _PLY_TYPES = {
     "double": "f8", "float64": "f8",
 }  # fmt: skip
 _MAX_HEADER = 1 << 16
+_MAX_BYTES = 4 * 2**30
+_MAX_BYTES_OF_OTHERS = 2**30  # text and other formats take several times their size in memory
+_ENDINGS = (".ply", ".stl", ".obj", ".off", ".xyz")  # no archives, which may unpack to anything
+_MAX_PIXEL = 2**24
+_MAX_MM = 1e9
 
 
 @dataclass(frozen=True)
@@ -45,6 +50,10 @@ class PointCloud:
         Standard uncertainty of x, y and z by noise.
     calibration_mm : (n, 3) float32 or None
         The same by the calibration and drifts, which neighbouring points share.
+    intensity : (n,) float32 or None
+        How bright the pixel was, above the black level: the fringes' mean, DN.
+    normals : (n, 3) float32 or None
+        Unit normals; zero where none is known.
     facts : mapping of str to str
         What the header says about the cloud.
     """
@@ -54,6 +63,8 @@ class PointCloud:
     smooth: np.ndarray | None = None
     noise_mm: np.ndarray | None = None
     calibration_mm: np.ndarray | None = None
+    intensity: np.ndarray | None = None
+    normals: np.ndarray | None = None
     facts: Mapping[str, str] = field(default_factory=dict)
 
     def to_xarray(self) -> "Dataset":
@@ -71,7 +82,7 @@ class PointCloud:
     def from_point_map(
         cls, point_map: PointMap, smooth: np.ndarray | None = None, facts: Mapping[str, object] | None = None
     ) -> "PointCloud":
-        """The valid points of a map, row by row, with their uncertainties if it has any.
+        """The valid points of a map, row by row, with their uncertainties and brightness if it has any.
 
         ``smooth`` is (rows, cols) bool.
         """
@@ -83,6 +94,7 @@ class PointCloud:
             smooth=None if smooth is None else smooth[valid],
             noise_mm=point_map.sigma_noise[valid] if known else None,
             calibration_mm=point_map.sigma_calibration[valid] if known else None,
+            intensity=None if point_map.intensity is None else point_map.intensity[valid],
             facts={key: str(value) for key, value in (facts or {}).items()},
         )
 
@@ -106,6 +118,10 @@ class Mesh:
 def write_cloud(path: str | Path, cloud: PointCloud) -> None:
     """Write a point cloud as PLY; the file appears whole or not at all."""
     columns = [("x", "<f8", cloud.xyz[:, 0]), ("y", "<f8", cloud.xyz[:, 1]), ("z", "<f8", cloud.xyz[:, 2])]
+    if cloud.normals is not None:
+        columns += [(f"n{axis}", "<f4", cloud.normals[:, k]) for k, axis in enumerate("xyz")]
+    if cloud.intensity is not None:
+        columns.append(("intensity", "<f4", cloud.intensity))
     if cloud.smooth is not None:
         columns.append(("smooth", "u1", cloud.smooth))
     if cloud.pixels is not None:
@@ -142,14 +158,11 @@ def read_cloud(path: str | Path) -> PointCloud:
     Raises
     ------
     InputError
-        If the file is missing, no PLY, truncated, or has no points.
+        If the file is missing, no PLY, truncated, larger than 4 GiB, or has no points, or has impossible ones.
     """
     path = Path(path)
     header = _read_header(path)
-    if header is None or header.vertex_type is None:
-        table, facts = _read_table_with_trimesh(path), {}
-    else:
-        table, facts = _read_vertices(path, header), header.facts
+    table = _read_table_with_trimesh(path, None) if header is None else _read_vertices(path, header)
     names = table.dtype.names or ()
     if not {"x", "y", "z"} <= set(names):
         raise InputError(f"the point cloud {path} has no x, y and z: it has {', '.join(names) or 'nothing'}")
@@ -157,14 +170,18 @@ def read_cloud(path: str | Path) -> PointCloud:
     finite = np.isfinite(xyz).all(axis=-1)
     if not finite.any():
         raise InputError(f"the point cloud {path} has no points")
-    has_pixels = {"row", "col"} <= set(names)
+    table, xyz = table[finite], xyz[finite]
+    if np.abs(xyz).max() > _MAX_MM:
+        raise InputError(f"the point cloud {path} has points further out than {_MAX_MM:g} mm: leave them out")
     return PointCloud(
-        xyz=xyz[finite],
-        pixels=np.stack([table["row"], table["col"]], axis=-1)[finite].astype(np.int32) if has_pixels else None,
-        smooth=table["smooth"][finite].astype(bool) if "smooth" in names else None,
-        noise_mm=_triple(table[finite], "sigma_noise_"),
-        calibration_mm=_triple(table[finite], "sigma_calibration_"),
-        facts=facts,
+        xyz=xyz,
+        pixels=_pixels(path, table) if {"row", "col"} <= set(names) else None,
+        smooth=table["smooth"].astype(bool) if "smooth" in names else None,
+        noise_mm=_triple(table, "sigma_noise_"),
+        calibration_mm=_triple(table, "sigma_calibration_"),
+        intensity=table["intensity"].astype(np.float32) if "intensity" in names else None,
+        normals=_triple(table, "n"),
+        facts={} if header is None else header.facts,
     )
 
 
@@ -174,16 +191,16 @@ def read_mesh(path: str | Path) -> Mesh:
     Raises
     ------
     InputError
-        If the file is missing, cannot be read, has no faces, or has vertices that are not finite.
+        If the file is missing, cannot be read, is larger than 4 GiB or, unless it is a binary PLY, 1 GiB, has no faces,
+        or has vertices that are not finite.
     """
     path = Path(path)
-    header = _read_header(path) if path.suffix.lower() == ".ply" else None
+    header = _read_header(path)
     mesh = _read_triangles(path, header) if header is not None else None
     if mesh is None:
-        if not path.is_file():
-            raise InputError(f"there is no mesh file {path}")
+        _check_size(path, _MAX_BYTES_OF_OTHERS)
         try:
-            loaded = trimesh.load_mesh(path)
+            loaded = trimesh.load_mesh(path, skip_materials=True)
             mesh = Mesh(np.asarray(loaded.vertices, dtype=np.float64), np.asarray(loaded.faces, dtype=np.int32))
         except Exception as error:  # trimesh raises whatever its format readers meet
             raise InputError(f"the mesh {path} cannot be read ({error}): give a PLY, STL or OBJ file") from None
@@ -196,6 +213,16 @@ def read_mesh(path: str | Path) -> Mesh:
     return mesh
 
 
+def _pixels(path: Path, table: np.ndarray) -> np.ndarray:
+    """Rows and columns (n, 2) int32 that a table states."""
+    pixels = np.stack([table["row"], table["col"]], axis=-1)
+    if not (np.abs(pixels) < _MAX_PIXEL).all():  # nor NaN
+        raise InputError(
+            f"the point cloud {path} has a row or col that no camera has: at most {_MAX_PIXEL} are counted"
+        )
+    return pixels.astype(np.int32)
+
+
 def _triple(table: np.ndarray, prefix: str) -> np.ndarray | None:
     """Three columns named so, ending with x, y and z, (n, 3) float32; None if one is missing."""
     names = [f"{prefix}{axis}" for axis in "xyz"]
@@ -206,8 +233,9 @@ def _triple(table: np.ndarray, prefix: str) -> np.ndarray | None:
 
 @dataclass(frozen=True)
 class _Header:
-    """What the header of a binary little-endian PLY says; types are None for layouts that numpy cannot map."""
+    """What the header of a PLY says; types are None for layouts that numpy cannot map."""
 
+    binary: bool  # and little-endian
     length: int
     facts: dict[str, str]
     vertices: int
@@ -232,9 +260,12 @@ def _write_ply(path: str | Path, header: list[str], facts: Mapping[str, object],
 
 
 def _read_header(path: Path) -> _Header | None:
-    """The header of a PLY file, or None if it is not a binary little-endian one."""
+    """The header of a PLY file, or None if it is none."""
     if not path.is_file():
         raise InputError(f"there is no file {path}")
+    if path.suffix.lower() not in _ENDINGS:
+        raise InputError(f"points and meshes are read from {', '.join(_ENDINGS)}, and {path} has none of these endings")
+    _check_size(path, _MAX_BYTES)
     with open(path, "rb") as file:
         start = file.read(_MAX_HEADER)
     if not start.startswith(b"ply"):
@@ -244,8 +275,6 @@ def _read_header(path: Path) -> _Header | None:
     if end < 0 or newline < 0:
         raise InputError(f"the PLY file {path} is damaged: its header does not end")
     lines = start[:end].decode("ascii", errors="replace").splitlines()
-    if "format binary_little_endian 1.0" not in (line.strip() for line in lines):
-        return None
     facts: dict[str, str] = {}
     elements: list[tuple[str, int, list[list[str]]]] = []
     try:
@@ -256,6 +285,8 @@ def _read_header(path: Path) -> _Header | None:
             elif line.startswith("element "):
                 _, name, count = line.split()
                 elements.append((name, int(count), []))
+                if int(count) < 0:
+                    raise ValueError
             elif line.startswith("property "):
                 elements[-1][2].append(line.split()[1:])
         counts = {name: count for name, count, _ in elements}
@@ -263,6 +294,7 @@ def _read_header(path: Path) -> _Header | None:
     except (ValueError, IndexError, KeyError):
         raise InputError(f"the PLY file {path} is damaged: its header cannot be understood") from None
     return _Header(
+        binary="format binary_little_endian 1.0" in (line.strip() for line in lines),
         length=newline + 1,
         facts=facts,
         vertices=counts.get("vertex", 0),
@@ -289,8 +321,8 @@ def _element_type(properties: list[list[str]]) -> np.dtype | None:
 
 
 def _read_vertices(path: Path, header: _Header) -> np.ndarray:
-    if not header.in_order or header.vertex_type is None:
-        return _read_table_with_trimesh(path)
+    if not (header.binary and header.in_order and header.vertex_type):
+        return _read_table_with_trimesh(path, header.vertices)
     needed = header.length + header.vertices * header.vertex_type.itemsize
     if path.stat().st_size < needed:
         raise InputError(f"the PLY file {path} is truncated: {path.stat().st_size} bytes of at least {needed}")
@@ -299,16 +331,17 @@ def _read_vertices(path: Path, header: _Header) -> np.ndarray:
 
 def _read_triangles(path: Path, header: _Header) -> Mesh | None:
     """The mesh of a binary PLY of triangles, or None if its layout needs a general reader."""
-    if header.face_type is None or header.vertex_type is None or not header.in_order:
+    if not (header.binary and header.in_order and header.vertex_type and header.face_type):
         return None
     names = header.vertex_type.names or ()
     if not {"x", "y", "z"} <= set(names):
         return None
     table = _read_vertices(path, header)
     offset = header.length + table.nbytes
-    if header.faces and path.stat().st_size < offset + header.face_type.itemsize:
+    there = (path.stat().st_size - offset) // header.face_type.itemsize
+    if header.faces and not there:
         raise InputError(f"the PLY file {path} is truncated: its faces are missing")
-    faces = np.fromfile(path, dtype=header.face_type, count=header.faces, offset=offset)
+    faces = np.fromfile(path, dtype=header.face_type, count=min(header.faces, there), offset=offset)
     if len(faces) < header.faces or not np.all(faces["count"] == 3):
         if np.all(faces["count"] == 3):
             raise InputError(f"the PLY file {path} is truncated: {len(faces)} of {header.faces} faces are there")
@@ -317,12 +350,23 @@ def _read_triangles(path: Path, header: _Header) -> Mesh | None:
     return Mesh(vertices, faces["corners"].astype(np.int32))
 
 
-def _read_table_with_trimesh(path: Path) -> np.ndarray:
+def _check_size(path: Path, limit: int) -> None:
+    if path.stat().st_size > limit:
+        raise InputError(
+            f"{path} has {path.stat().st_size / 2**30:.3g} GiB, and {limit / 2**30:g} GiB are read: divide it"
+        )
+
+
+def _read_table_with_trimesh(path: Path, claimed: int | None) -> np.ndarray:
+    """x, y and z of every vertex, of which a PLY's header claims so many."""
+    _check_size(path, _MAX_BYTES_OF_OTHERS)
     try:
         loaded: Any = trimesh.load(path, process=False)
         points = np.asarray(loaded.vertices, dtype=np.float64)
     except Exception as error:  # trimesh raises whatever its format readers meet
         raise InputError(f"the point cloud {path} cannot be read ({error}): give a PLY file") from None
+    if claimed is not None and len(points) != claimed:
+        raise InputError(f"the PLY file {path} is truncated: {len(points)} of {claimed} points are there")
     table = np.empty(len(points), dtype=[(axis, "<f8") for axis in "xyz"])
     for axis, values in zip("xyz", points.T, strict=True):
         table[axis] = values

@@ -31,11 +31,14 @@ class PointMap:
         independent from pixel to pixel unless a filter has made neighbours alike.
     uncertainty : CalibrationUncertainty, optional
         What the calibration and drifts may do, alike for neighbouring points and for every measurement.
+    intensity : (rows, cols) float32, optional
+        How bright each pixel was above the black level, DN: the background of the phase map.
     """
 
     xyz: np.ndarray
     noise_mm: np.ndarray | None = None
     uncertainty: CalibrationUncertainty | None = None
+    intensity: np.ndarray | None = None
 
     def to_xarray(self) -> "Dataset":
         """See `datasets.point_map_dataset`."""
@@ -96,7 +99,7 @@ def reconstruct(phase_map: PhaseMap, calibration: Calibration) -> PointMap:
     """
     calibration.check_shape(phase_map.absolute.shape)
     xyz, noise_mm = calibration.point_kernel.points(phase_map.absolute, phase_map.sigma, phase_map.valid)
-    return PointMap(xyz, noise_mm, calibration.uncertainty_after(phase_map.exposures))
+    return PointMap(xyz, noise_mm, calibration.uncertainty_after(phase_map.exposures), phase_map.background)
 
 
 def _stated(value):

@@ -23,16 +23,16 @@ def surface_mesh(cloud: PointCloud) -> Mesh:
     """
     if cloud.pixels is None:
         raise InputError("the cloud does not say which pixels its points are of: write it by `greenough measure`")
-    first = cloud.pixels.min(axis=0)
-    rows, cols = (int(size) for size in cloud.pixels.max(axis=0) - first + 1)
+    pixels = cloud.pixels.astype(np.int64)
+    first = pixels.min(axis=0)
+    rows, cols = (int(size) for size in pixels.max(axis=0) - first + 1)
     if rows * cols > _MAX_PIXELS:
         raise InputError(f"the cloud claims a camera of {cols} x {rows} pixels; at most {_MAX_PIXELS} are taken")
     number = np.full((rows, cols), -1, dtype=np.int32)
-    number[tuple((cloud.pixels - first).T)] = np.arange(len(cloud.xyz), dtype=np.int32)
-    corners = np.stack([number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]], axis=-1).reshape(-1, 4)
-    missing = (corners < 0).sum(axis=1)
-    whole = corners[missing == 0]
-    partial = corners[missing == 1]
+    number[tuple((pixels - first).T)] = np.arange(len(cloud.xyz), dtype=np.int32)
+    there = (number >= 0).astype(np.uint8)
+    corners = there[:-1, :-1] + there[:-1, 1:] + there[1:, 1:] + there[1:, :-1]  # of each square
+    whole, partial = (_squares(number, *np.nonzero(corners == count)) for count in (4, 3))
     of_three = partial[partial >= 0].reshape(-1, 3)  # in their order around the square
     faces = np.concatenate([whole[:, [0, 1, 2]], whole[:, [0, 2, 3]], of_three])
     sides = cloud.xyz[faces] - cloud.xyz[np.roll(faces, -1, axis=1)]
@@ -43,3 +43,30 @@ def surface_mesh(cloud: PointCloud) -> Mesh:
     faces, sides = faces[kept], sides[kept]
     upwards = np.cross(sides[:, 0], sides[:, 1])[:, 2].sum() > 0
     return Mesh(cloud.xyz, faces if upwards else faces[:, ::-1])
+
+
+def _squares(number: np.ndarray, row: np.ndarray, col: np.ndarray) -> np.ndarray:
+    """Points (n, 4) at the corners of squares, around each; ``row`` and ``col`` are of their first corners."""
+    return np.stack([number[row, col], number[row, col + 1], number[row + 1, col + 1], number[row + 1, col]], axis=-1)
+
+
+def surface_normals(cloud: PointCloud) -> np.ndarray:
+    """Unit normals of the points of a surface, (n, 3) float32; zero where a point has no triangle.
+
+    The normals of the triangles around a point are averaged by area. Nothing else is smoothed: the noise of neighbours
+    is in them.
+
+    Raises
+    ------
+    InputError
+        As `surface_mesh`.
+    """
+    mesh = surface_mesh(cloud)
+    corners = mesh.vertices[mesh.faces]
+    doubled_areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = np.empty_like(mesh.vertices)
+    for axis in range(3):
+        around = (np.bincount(mesh.faces[:, k], doubled_areas[:, axis], len(normals)) for k in range(3))
+        normals[:, axis] = sum(around)
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0).astype(np.float32)

@@ -17,6 +17,8 @@ def some_cloud(n=50):
         smooth=rng.random(n) < 0.5,
         noise_mm=rng.random((n, 3)).astype(np.float32),
         calibration_mm=rng.random((n, 3)).astype(np.float32),
+        intensity=rng.uniform(0, 255, n).astype(np.float32),
+        normals=rng.normal(size=(n, 3)).astype(np.float32),
         facts={"lit_and_seen": "60", "filter": "none"},
     )
 
@@ -35,6 +37,8 @@ def test_a_cloud_comes_back_bit_by_bit(tmp_path):
     np.testing.assert_array_equal(back.smooth, cloud.smooth)
     np.testing.assert_array_equal(back.noise_mm, cloud.noise_mm)
     np.testing.assert_array_equal(back.calibration_mm, cloud.calibration_mm)
+    np.testing.assert_array_equal(back.intensity, cloud.intensity)
+    np.testing.assert_array_equal(back.normals, cloud.normals)
     assert back.facts == cloud.facts
 
 
@@ -84,7 +88,11 @@ def test_polygons_are_read_as_triangles(tmp_path):
 def test_only_valid_points_of_a_map_are_kept_with_their_pixels():
     xyz = np.arange(24.0).reshape(2, 4, 3)
     xyz[1, 2] = np.nan
-    cloud = PointCloud.from_point_map(PointMap(xyz), smooth=np.eye(2, 4, dtype=bool), facts={"run": 3})
+    light = np.arange(8, dtype=np.float32).reshape(2, 4)
+    point_map = PointMap(xyz, intensity=light)
+    cloud = PointCloud.from_point_map(point_map, smooth=np.eye(2, 4, dtype=bool), facts={"run": 3})
+    assert cloud.intensity is not None
+    np.testing.assert_array_equal(cloud.intensity, [0, 1, 2, 3, 4, 5, 7])
     assert len(cloud.xyz) == 7
     np.testing.assert_array_equal(cloud.xyz, xyz[cloud.pixels[:, 0], cloud.pixels[:, 1]])
     assert cloud.smooth is not None
@@ -140,3 +148,60 @@ def test_a_cloud_without_points_is_refused(tmp_path):
     write_cloud(tmp_path / "empty.ply", PointCloud(np.full((3, 3), np.nan)))
     with pytest.raises(InputError, match="no points"):
         read_cloud(tmp_path / "empty.ply")
+
+
+BINARY, ASCII, BIG = (f"ply\nformat {kind} 1.0\n" for kind in ("binary_little_endian", "ascii", "binary_big_endian"))
+XYZ = "property double x\nproperty double y\nproperty double z\n"
+PIXELS = "property double row\nproperty double col\n"
+MANY = 1_000_000_000
+POINTS = np.arange(9.0).tobytes()
+
+
+@pytest.mark.parametrize(
+    ("header", "body", "reason"),
+    [
+        (f"{BINARY}element vertex {MANY}\n{XYZ}", POINTS, "truncated"),
+        (f"{BIG}element vertex {MANY}\n{XYZ}", POINTS, "cannot be read"),
+        (f"{BINARY}element vertex {MANY}\n{XYZ}property list uchar int more\n", POINTS, "cannot be read"),
+        (f"{ASCII}element vertex {MANY}\n{XYZ}", b"0 0 0\n1 1 1\n", "truncated: 2 of 1000000000"),
+        (f"{BINARY}element vertex -1\n{XYZ}", POINTS, "cannot be understood"),
+        (f"{BINARY}element vertex 1\n{XYZ}property double x\n", POINTS, "cannot be understood"),
+        (f"{BINARY}element vertex 3\n", POINTS, "no x, y and z"),
+        (f"{BINARY}element vertex 0\n{XYZ}", b"", "no points"),
+        (f"{BINARY}element vertex 3\n{XYZ}", np.full(9, np.nan).tobytes(), "no points"),
+        (f"{BINARY}element vertex 1\n{XYZ}", np.array([0, 0, 1e300]).tobytes(), "further out"),
+        (f"{BINARY}element vertex 1\n{XYZ}{PIXELS}", np.array([0, 0, 0, np.nan, 1]).tobytes(), "no camera has"),
+        (f"{BINARY}element vertex 1\n{XYZ}{PIXELS}", np.array([0, 0, 0, 2, -1e30]).tobytes(), "no camera has"),
+    ],
+)
+def test_impossible_points_and_claims_are_one_sentence(tmp_path, header, body, reason):
+    (tmp_path / "cloud.ply").write_bytes(f"{header}end_header\n".encode() + body)
+    with pytest.raises(InputError, match=reason):
+        read_cloud(tmp_path / "cloud.ply")
+
+
+def test_a_claim_of_faces_is_held_against_the_files_size(tmp_path):
+    write_mesh(tmp_path / "mesh.ply", tetrahedron())
+    data = (tmp_path / "mesh.ply").read_bytes().replace(b"element face 4", f"element face {1000 * MANY}".encode())
+    (tmp_path / "mesh.ply").write_bytes(data)
+    with pytest.raises(InputError, match="4 of 1000000000000 faces"):
+        read_mesh(tmp_path / "mesh.ply")
+
+
+@pytest.mark.parametrize("name", ["cloud.ply", "text.ply", "mesh.stl", "lines.xyz"])
+def test_a_file_of_20_gb_is_refused_before_it_is_read(tmp_path, name):
+    header = f"{ASCII if name == 'text.ply' else BINARY}element vertex 800000000\n{XYZ}end_header\n"
+    with open(tmp_path / name, "wb") as file:
+        file.write(header.encode() if name.endswith("ply") else b"solid\n")
+        file.truncate(20 * 10**9)  # which takes no room on the disk
+    for read in (read_cloud, read_mesh):
+        with pytest.raises(InputError, match="GiB"):
+            read(tmp_path / name)
+
+
+def test_archives_are_not_unpacked(tmp_path):
+    for name in ("cloud.zip", "cloud.3mf", "cloud.glb", "cloud"):
+        (tmp_path / name).write_bytes(b"PK")
+        for read in (read_cloud, read_mesh):
+            with pytest.raises(InputError, match="endings"):
+                read(tmp_path / name)

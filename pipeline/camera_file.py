@@ -1,57 +1,114 @@
 """The calibrated camera as OpenCV and what builds on it read one: YAML, JSON or XML of cv2.FileStorage.
 
-======================================  ================================================================
-``camera_name``, ``camera_serial``      text
-``image_width``, ``image_height``       px; pixel centres are at integers
-``camera_matrix``                       (3, 3) px
-``distortion_model``                    ``plumb_bob``
-``distortion_coefficients``             (1, 5): k1, k2, p1, p2, and k3 = 0
-``camera_from_world``                   (4, 4): takes points of the calibrated frame, mm, to the camera's
-``avg_reprojection_error``              px, root mean square over the spots
-``skew_left_out_px``                    what cv2.projectPoints is off by at most in the picture, see below
-``rays_off_rms_px``, ``rays_off_max_px``  how far the rays that points lie on are from this camera's
-======================================  ================================================================
+==============================  ========================================================================
+``camera_name``                 the rig's, and ``camera_serial``
+``image_width``                 px, and ``image_height``; pixel centres are at integers
+``camera_matrix``               (3, 3) px, without skew
+``distortion_model``            ``plumb_bob``
+``distortion_coefficients``     (1, 5): k1, k2, p1, p2, and k3 = 0
+``camera_from_world``           (4, 4): takes points of the calibrated frame, mm, to the camera's
+``fit_rms_px``, ``fit_max_px``  distance between pixels and where this camera images points on their rays
+``avg_reprojection_error``      px: what the calibration itself left over at the spots, root mean square
+==============================  ========================================================================
 
-OpenCV's functions take no notice of the skew in ``camera_matrix[0, 1]``. The bundle's rays have a smooth field of
-residuals more than this camera: points come from them, and not from the file.
+OpenCV's functions take no notice of a skew, and the bundle's rays have a smooth field of residuals besides. Through
+long lenses, skew, principal point, tilt and distortion do nearly the same to the picture. So to leave the calibrated
+skew out is to be off by tenths of a pixel, while the camera without skew that comes nearest to the calibrated rays, all
+else fitted anew over picture and depth, is off by hundredths. That one is written, with the pose that belongs to it.
 """
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
 
+from greenough.instrument.errors import InputError
 from greenough.instrument.files import atomic_path
 
 from .calibration import Calibration
 from .plain_text import plain_text
 
-_SAMPLES = 41  # of the picture, along each side
+_SAMPLES = (3, 25, 25)  # in depth, down and across the picture
+_FEWEST = 100
+_UNTIL = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 300, 1e-15)
+
+
+@dataclass(frozen=True, eq=False)
+class OpenCVCamera:
+    """A camera of OpenCV's five-parameter model.
+
+    Parameters
+    ----------
+    matrix : (3, 3) float64
+        px, without skew.
+    distortion : (5,) float64
+        k1, k2, p1, p2, k3.
+    camera_from_world : (4, 4) float64
+        mm.
+    residuals_px : (n,) float64
+        Distances between pixels and the images of points on their rays.
+    """
+
+    matrix: np.ndarray
+    distortion: np.ndarray
+    camera_from_world: np.ndarray
+    residuals_px: np.ndarray
+
+
+def opencv_camera(calibration: Calibration) -> OpenCVCamera:
+    """OpenCV's camera that comes nearest to the rays of a calibration, by least squares over picture and depth.
+
+    Raises
+    ------
+    InputError
+        When less than 100 of 1875 points all over the volume are calibrated.
+    """
+    camera = calibration.camera
+    xyz, pixels = _points_on_rays(calibration)
+    if len(xyz) < _FEWEST:
+        raise InputError("the calibration has too few calibrated pixels to fit a camera to: calibrate again")
+    start = camera.camera_matrix * [[1, 0, 1], [1, 1, 1], [1, 1, 1]]
+    _, matrix, distortion, rotations, shifts = cv2.calibrateCamera(
+        [xyz.astype(np.float32)],
+        [pixels.astype(np.float32)],
+        camera.shape[::-1],
+        start,
+        np.array([camera.k1, camera.k2, camera.p1, camera.p2, 0.0]),
+        flags=cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_K3,
+        criteria=_UNTIL,
+    )
+    camera_from_world = np.eye(4)
+    camera_from_world[:3, :3], camera_from_world[:3, 3] = cv2.Rodrigues(rotations[0])[0], shifts[0].ravel()
+    seen = cv2.projectPoints(xyz, rotations[0], shifts[0], matrix, distortion)[0][:, 0]
+    residuals = np.linalg.norm(seen - pixels, axis=1)
+    return OpenCVCamera(np.asarray(matrix), np.asarray(distortion).ravel(), camera_from_world, residuals)
 
 
 def write_camera(calibration: Calibration, path: str | Path) -> None:
-    """Write the camera of a calibration; the name's ending says how, and the file appears whole or not at all."""
-    camera = calibration.camera
-    rows, cols = camera.shape
+    """Write the camera of a calibration; the name's ending says how, and the file appears whole or not at all.
+
+    Raises
+    ------
+    InputError
+        As `opencv_camera`, and when nothing can be written there.
+    """
+    camera = opencv_camera(calibration)
+    rows, cols = calibration.camera.shape
     figures = calibration.figures
-    off = rays_off_px(calibration)
     entries = {
         "camera_name": plain_text(calibration.identity.name),
         "camera_serial": plain_text(calibration.identity.camera_serial),
-        "calibration_method": calibration.method,
         "image_width": cols,
         "image_height": rows,
-        "camera_matrix": camera.camera_matrix,
+        "camera_matrix": camera.matrix,
         "distortion_model": "plumb_bob",
-        "distortion_coefficients": np.array([[camera.k1, camera.k2, camera.p1, camera.p2, 0.0]]),
+        "distortion_coefficients": camera.distortion[None],
         "length_unit": "mm",
-        "camera_from_world": calibration.camera_from_world,
-        "avg_reprojection_error": float(
-            np.hypot(figures.get("reprojection_rmse_u_px", np.nan), figures.get("reprojection_rmse_v_px", np.nan))
-        ),
-        "skew_left_out_px": skew_left_out_px(calibration),
-        "rays_off_rms_px": float(np.sqrt(np.mean(off**2))) if len(off) else float("nan"),
-        "rays_off_max_px": float(off.max(initial=0.0)) if len(off) else float("nan"),
+        "camera_from_world": camera.camera_from_world,
+        "fit_rms_px": float(np.sqrt(np.mean(camera.residuals_px**2))),
+        "fit_max_px": float(camera.residuals_px.max()),
+        "avg_reprojection_error": float(np.hypot(figures["reprojection_rmse_u_px"], figures["reprojection_rmse_v_px"])),
     }
     with atomic_path(path) as temporary:
         storage = cv2.FileStorage(str(temporary), cv2.FILE_STORAGE_WRITE)
@@ -62,24 +119,18 @@ def write_camera(calibration: Calibration, path: str | Path) -> None:
             storage.release()
 
 
-def skew_left_out_px(calibration: Calibration) -> float:
-    """How far a projection without skew is from one with it, at most in the picture, px."""
-    camera = calibration.camera
-    v = np.array([0.0, camera.shape[0] - 1.0])
-    return float(np.abs(camera.skew * (v - camera.cy) / camera.fy).max())
-
-
-def rays_off_px(calibration: Calibration) -> np.ndarray:
-    """Distances (n,) px from pixels to where the camera images points on their rays, over picture and depth."""
-    rows, cols = calibration.camera.shape
-    v, u = np.meshgrid(*(np.unique(np.linspace(0, n - 1, _SAMPLES).astype(int)) for n in (rows, cols)), indexing="ij")
-    pixels = np.stack([u, v], axis=-1)
-    rays, relation = calibration.rays, calibration.phase_height
-    rotation, shift = calibration.camera_from_world[:3, :3], calibration.camera_from_world[:3, 3]
-    distances = []
-    for end in range(2):
-        z = np.where(relation.valid[v, u], relation.z_range[v, u, end], np.nan).astype(float)[..., None]
-        xyz = np.concatenate([rays.origin[v, u] + z * rays.slope[v, u], z], axis=-1)
-        distances.append(np.linalg.norm(calibration.camera.project(xyz @ rotation.T + shift) - pixels, axis=-1))
-    found = np.array(distances)
-    return found[np.isfinite(found)]
+def _points_on_rays(calibration: Calibration) -> tuple[np.ndarray, np.ndarray]:
+    """Points (n, 3) mm all over the calibrated volume, and the pixels (n, 2) whose rays they lie on."""
+    depths, *grid = _SAMPLES
+    shape = calibration.camera.shape
+    places = (np.unique(np.linspace(0, n - 1, count).astype(int)) for n, count in zip(shape, grid, strict=True))
+    v, u = (axis.ravel() for axis in np.meshgrid(*places, indexing="ij"))
+    relation, rays = calibration.phase_height, calibration.rays
+    low, high = np.where(relation.valid[v, u, None], relation.z_range[v, u], np.nan).astype(float).T
+    xyz = []
+    for share in np.linspace(0, 1, depths):
+        z = (low + share * (high - low))[:, None]
+        xyz.append(np.concatenate([rays.origin[v, u] + z * rays.slope[v, u], z], axis=1))
+    points, pixels = np.concatenate(xyz), np.tile(np.stack([u, v], axis=1).astype(float), (depths, 1))
+    known = np.isfinite(points).all(axis=1)
+    return points[known], pixels[known]

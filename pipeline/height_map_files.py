@@ -2,7 +2,7 @@
 
 Gwyddion counts y downwards, and so do its files: their y is ours with the other sign, and the picture is the part as
 seen from above. ISO 25178-72 has a right-handed frame with the first row lowest: x and y in an x3p file are ours.
-Programs that do not mind the frame, Gwyddion among them, show such a file upside down.
+Programs that do not mind the frame, Gwyddion among them, show such a file mirrored, its first row uppermost.
 """
 
 from pathlib import Path

@@ -1,21 +1,33 @@
 """Programs of others that open what is exported. They must be there where GREENOUGH_NEEDS_PEERS is 1, as in CI."""
 
-import importlib.util
+import importlib
 import os
 import shutil
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 
-def need(name: str, remedy: str) -> None:
-    """Skip where neither a program nor a module has this name; fail where GREENOUGH_NEEDS_PEERS says that it is."""
-    if shutil.which(name) is None and importlib.util.find_spec(name) is None:
-        reason = f"{name} is not found: {remedy}"
-        if os.environ.get("GREENOUGH_NEEDS_PEERS", "0") == "1":
-            pytest.fail(reason)
-        pytest.skip(reason)
+def need_program(name: str, package: str) -> None:
+    """Skip where there is no such program; fail where GREENOUGH_NEEDS_PEERS says that there is."""
+    if shutil.which(name) is None:
+        _lack(f"{name} is not found: apt-get install {package}")
+
+
+def need_module(name: str) -> Any:
+    """A module of the extra ``peers``; skip where it cannot be imported, or fail, as above."""
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        _lack(f"{name} cannot be imported ({error}): pip install '.[peers]'")
+
+
+def _lack(reason: str) -> None:
+    if os.environ.get("GREENOUGH_NEEDS_PEERS", "0") == "1":
+        pytest.fail(reason)
+    pytest.skip(reason)
 
 
 def run_headless(*command: str | Path) -> str:

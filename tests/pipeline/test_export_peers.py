@@ -4,7 +4,6 @@ Gwyddion and surfalize read the height maps, CloudCompare points and meshes, and
 without a screen.
 """
 
-import warnings
 from pathlib import Path
 
 import gwyfile
@@ -16,7 +15,7 @@ from greenough.pipeline.export import export_cloud
 from greenough.pipeline.height_map import height_map
 from greenough.pipeline.point_cloud import Mesh, PointCloud, read_cloud, write_mesh
 from greenough.pipeline.surface_mesh import surface_mesh
-from peers import need, run_headless
+from peers import need_module, need_program, run_headless
 
 PITCH = 0.05
 
@@ -45,7 +44,7 @@ def cloud() -> PointCloud:
 
 @pytest.mark.parametrize(("ending", "eps"), [("x3p", 1e-12), ("gwy", 1e-12), ("gsf", 1e-6)])
 def test_gwyddion_opens_a_height_map_and_its_statistics_are_ours(tmp_path, cloud, ending, eps):
-    need("gwyddion", "apt-get install gwyddion")
+    need_program("gwyddion", "gwyddion")
     export_cloud(cloud, tmp_path / f"map.{ending}")
     heights = height_map(cloud)
     said = run_headless("gwyddion", f"--convert-to-gwy={tmp_path / 'theirs.gwy'}", tmp_path / f"map.{ending}")
@@ -67,13 +66,9 @@ def test_gwyddion_opens_a_height_map_and_its_statistics_are_ours(tmp_path, cloud
 
 @pytest.mark.parametrize("ending", ["x3p", "gwy"])
 def test_surfalize_opens_a_height_map_and_its_roughness_is_ours(tmp_path, cloud, ending):
-    need("surfalize", "pip install '.[peers]'")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # theirs
-        from surfalize import Surface as TheirSurface
-
-        export_cloud(cloud, tmp_path / f"map.{ending}")
-        theirs = TheirSurface.load(tmp_path / f"map.{ending}")
+    surfalize = need_module("surfalize")
+    export_cloud(cloud, tmp_path / f"map.{ending}")
+    theirs = surfalize.Surface.load(tmp_path / f"map.{ending}")
     heights = height_map(cloud)
     z = 1e3 * (heights.z[::-1] if ending == "x3p" else heights.z)  # µm
     assert (theirs.step_x, theirs.step_y) == pytest.approx((1e3 * heights.pitch,) * 2)
@@ -99,7 +94,7 @@ def cloudcompare_reads(path: Path) -> dict[str, np.ndarray]:
 
 
 def test_cloudcompare_finds_the_same_distances_from_cloud_to_mesh(tmp_path, cloud):
-    need("CloudCompare", "apt-get install cloudcompare")
+    need_program("CloudCompare", "cloudcompare")
     export_cloud(cloud, tmp_path / "cloud.ply")
     write_mesh(tmp_path / "mesh.ply", mesh_of_the_part())
     run_headless(
@@ -122,7 +117,7 @@ def test_cloudcompare_finds_the_same_distances_from_cloud_to_mesh(tmp_path, clou
 
 @pytest.mark.parametrize("ending", ["xyz", "asc"])
 def test_cloudcompare_opens_lines(tmp_path, cloud, ending):
-    need("CloudCompare", "apt-get install cloudcompare")
+    need_program("CloudCompare", "cloudcompare")
     export_cloud(cloud, tmp_path / f"cloud.{ending}")
     run_headless(
         *("CloudCompare", "-SILENT", "-AUTO_SAVE", "OFF", "-C_EXPORT_FMT", "ASC", "-PREC", "9", "-ADD_HEADER"),
@@ -134,9 +129,7 @@ def test_cloudcompare_opens_lines(tmp_path, cloud, ending):
 
 @pytest.mark.parametrize("ending", ["stl", "obj"])
 def test_meshlabs_library_opens_a_surface_and_measures_the_same_area(tmp_path, cloud, ending):
-    need("pymeshlab", "pip install '.[peers]'")
-    import pymeshlab
-
+    pymeshlab = need_module("pymeshlab")
     export_cloud(cloud, tmp_path / f"surface.{ending}")
     meshes = pymeshlab.MeshSet()
     meshes.load_new_mesh(str(tmp_path / f"surface.{ending}"))
@@ -155,9 +148,7 @@ def test_meshlabs_library_opens_a_surface_and_measures_the_same_area(tmp_path, c
 
 
 def test_meshlabs_library_opens_points_with_their_normals(tmp_path, cloud):
-    need("pymeshlab", "pip install '.[peers]'")
-    import pymeshlab
-
+    pymeshlab = need_module("pymeshlab")
     export_cloud(cloud, tmp_path / "cloud.ply")
     meshes = pymeshlab.MeshSet()
     meshes.load_new_mesh(str(tmp_path / "cloud.ply"))

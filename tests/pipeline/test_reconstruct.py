@@ -81,6 +81,12 @@ def test_points_lie_on_their_pixels_rays_at_their_heights():
     assert np.abs(seen - np.stack([u, v], axis=-1)).max() < 1e-5  # rays are float32: half a nanometre
 
 
+def test_a_point_is_as_bright_as_its_pixel():
+    measured = phase_map(np.zeros(SHAPE))
+    measured.background[:] = np.arange(measured.background.size).reshape(SHAPE)
+    np.testing.assert_array_equal(reconstruct(measured, calibration()).intensity, measured.background)
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_single_precision_is_as_good_as_double(seed):
     """Phases up to 300 rad over the whole volume: a hundredth of a micrometre would be 1e-5 mm."""

@@ -1,14 +1,14 @@
 """Clouds and cameras as other programs read them. Which format is told by the file's name.
 
-=============================  =========================================================================================
-``.ply``                       points with all that is known of each, mm: normals, intensity in DN, standard uncertainties
-``.xyz``, ``.asc``             lines of x, y and z in mm, with a resolution of a nanometre
-``.npz``                       NumPy arrays ``xyz``, ``pixels``, ``sigma_noise``, ``sigma_calibration``, ``intensity``,
-                               ``normals``, as far as known, and ``units``
-``.stl``, ``.obj``             triangles between neighbouring pixels, mm
-``.x3p``, ``.gwy``, ``.gsf``   a regular height map (`height_map`) with its voids, m (`height_map_files`)
-``.yaml``, ``.json``, ``.xml`` a calibration's camera, for OpenCV (`camera_file`)
-=============================  =========================================================================================
+==============================  ==================================================================================
+``.ply``                        points with all that is known of each, mm: normals, intensity in DN, uncertainties
+``.xyz``, ``.asc``              lines of x, y and z in mm, with a resolution of a nanometre
+``.npz``                        NumPy arrays ``xyz``, ``pixels``, ``sigma_noise``, ``sigma_calibration``,
+                                ``intensity`` and ``normals``, as far as known, and ``units``
+``.stl``, ``.obj``              triangles between neighbouring pixels, mm
+``.x3p``, ``.gwy``, ``.gsf``    a regular height map (`height_map`) with its voids, m (`height_map_files`)
+``.yaml``, ``.json``, ``.xml``  a calibration's camera, for OpenCV (`camera_file`)
+==============================  ==================================================================================
 """
 
 from collections.abc import Callable, Mapping

@@ -55,6 +55,16 @@ class OpenCVCamera:
     camera_from_world: np.ndarray
     residuals_px: np.ndarray
 
+    @property
+    def rms_px(self) -> float:
+        """Root mean square of the residuals."""
+        return float(np.sqrt(np.mean(self.residuals_px**2)))
+
+    @property
+    def max_px(self) -> float:
+        """The largest residual."""
+        return float(self.residuals_px.max())
+
 
 def opencv_camera(calibration: Calibration) -> OpenCVCamera:
     """OpenCV's camera that comes nearest to the rays of a calibration, by least squares over picture and depth.
@@ -85,8 +95,13 @@ def opencv_camera(calibration: Calibration) -> OpenCVCamera:
     return OpenCVCamera(np.asarray(matrix), np.asarray(distortion).ravel(), camera_from_world, residuals)
 
 
-def write_camera(calibration: Calibration, path: str | Path) -> None:
+def write_camera(calibration: Calibration, path: str | Path) -> OpenCVCamera:
     """Write the camera of a calibration; the name's ending says how, and the file appears whole or not at all.
+
+    Returns
+    -------
+    OpenCVCamera
+        What was written.
 
     Raises
     ------
@@ -106,8 +121,8 @@ def write_camera(calibration: Calibration, path: str | Path) -> None:
         "distortion_coefficients": camera.distortion[None],
         "length_unit": "mm",
         "camera_from_world": camera.camera_from_world,
-        "fit_rms_px": float(np.sqrt(np.mean(camera.residuals_px**2))),
-        "fit_max_px": float(camera.residuals_px.max()),
+        "fit_rms_px": camera.rms_px,
+        "fit_max_px": camera.max_px,
         "avg_reprojection_error": float(np.hypot(figures["reprojection_rmse_u_px"], figures["reprojection_rmse_v_px"])),
     }
     with atomic_path(path) as temporary:
@@ -117,6 +132,7 @@ def write_camera(calibration: Calibration, path: str | Path) -> None:
                 storage.write(name, value)
         finally:
             storage.release()
+    return camera
 
 
 def _points_on_rays(calibration: Calibration) -> tuple[np.ndarray, np.ndarray]:

@@ -238,8 +238,9 @@ def export(
 
         if pitch_um is not None:
             raise InputError("--pitch-um is for height maps: a camera has none")
-        write_camera(Calibration.load(source), out)
-        show({"file": out, "unit": "px, mm", "bytes": out.stat().st_size}, as_json)
+        camera = write_camera(Calibration.load(source), out)
+        off = {"fit_rms_px": camera.rms_px, "fit_max_px": camera.max_px}
+        show({"file": out, "unit": "px, mm", **off, "bytes": out.stat().st_size}, as_json)
         return
     points = read_cloud(source)
     written = export_cloud(points, out, None if pitch_um is None else 1e-3 * pitch_um)

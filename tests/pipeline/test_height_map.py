@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from greenough.instrument.errors import InputError
+from greenough.pipeline import height_map as module
 from greenough.pipeline.compare import Surface, vertical_errors
 from greenough.pipeline.height_map import height_map
 from greenough.pipeline.point_cloud import PointCloud
@@ -131,3 +132,9 @@ def test_points_on_a_line_as_seen_from_above_are_refused(x_by_u):
     xyz = np.stack([x_by_u * u, PITCH * v, PITCH * u], axis=-1).reshape(-1, 3)
     with pytest.raises(InputError, match="height map"):
         height_map(PointCloud(xyz, np.stack([v, u], axis=-1).reshape(-1, 2).astype(np.int32)), PITCH)
+
+
+def test_a_map_that_is_made_in_many_parts_is_the_same(monkeypatch):
+    whole = height_map(cloud(bumps, jitter=0.5))
+    monkeypatch.setattr(module, "_CHUNK", 50)
+    np.testing.assert_array_equal(height_map(cloud(bumps, jitter=0.5)).z, whole.z)

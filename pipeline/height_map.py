@@ -69,18 +69,20 @@ def height_map(cloud: PointCloud, pitch_mm: float | None = None) -> HeightMap:
     Raises
     ------
     InputError
-        When the points are no surface, the pitch is below a tenth of the cloud's sampling, the grid would have more
-        than 2²⁶ nodes, or less than two rows or columns of nodes lie on the surface.
+        When the points are no surface, the pitch is below a tenth of the cloud's sampling or above its extent, the grid
+        would have more than 2²⁶ nodes, or less than two rows or columns of nodes lie on the surface.
     """
     mesh = surface_mesh(cloud)
     x, y, z = np.ascontiguousarray(mesh.vertices.T)[:, mesh.faces.T]  # (3 corners, triangles) each
     areas = np.abs((x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0]))  # of squares: two triangles each
     sampling = float(np.sqrt(np.median(areas)))
     pitch = sampling if pitch_mm is None else pitch_mm
-    if not (np.isfinite(pitch) and pitch > 0 and pitch >= sampling / _FINEST):
+    extent = float(min(np.ptp(x), np.ptp(y)))
+    if not (pitch > 0 and sampling / _FINEST <= pitch <= extent):
+        finest, coarsest = 1e3 * sampling / _FINEST, 1e3 * extent
         raise InputError(
-            f"a height map with a pitch of {1e3 * pitch:g} µm: the points are {1e3 * sampling:.3g} µm apart as seen "
-            f"from above, and the pitch must be at least {1e3 * sampling / _FINEST:.2g} µm and above 0"
+            f"a height map with a pitch of {1e3 * pitch:g} µm: it must lie between {finest:.3g} µm, a tenth of how far "
+            f"the points are apart as seen from above, and {coarsest:.3g} µm, the extent of them all"
         )
     x, y = x / pitch, y / pitch
     left, low = np.floor(x.min()), np.floor(y.min())

@@ -28,7 +28,7 @@ _PLY_TYPES = {
 }  # fmt: skip
 _MAX_HEADER = 1 << 16
 _MAX_BYTES = 4 * 2**30
-_MAX_BYTES_OF_OTHERS = 2**30  # text and other formats take several times their size in memory
+_MAX_BYTES_OF_OTHERS = 2**29  # text and other formats take up to 14 times their size in memory
 _ENDINGS = (".ply", ".stl", ".obj", ".off", ".xyz")  # no archives, which may unpack to anything
 _MAX_PIXEL = 2**24
 _MAX_MM = 1e9
@@ -191,8 +191,8 @@ def read_mesh(path: str | Path) -> Mesh:
     Raises
     ------
     InputError
-        If the file is missing, cannot be read, is larger than 4 GiB or, unless it is a binary PLY, 1 GiB, has no faces,
-        or has vertices that are not finite.
+        If the file is missing, cannot be read, is larger than 4 GiB (512 MiB if it is no binary PLY), has no faces, or
+        has vertices that are not finite.
     """
     path = Path(path)
     header = _read_header(path)

@@ -37,9 +37,9 @@ def surface_mesh(cloud: PointCloud) -> Mesh:
     faces = np.concatenate([whole[:, [0, 1, 2]], whole[:, [0, 2, 3]], of_three])
     sides = cloud.xyz[faces] - cloud.xyz[np.roll(faces, -1, axis=1)]
     lengths = np.linalg.norm(sides, axis=2)
-    if not len(faces):
+    kept = (lengths < _LONGEST * np.median(lengths)).all(axis=1) if len(faces) else np.zeros(0, bool)
+    if not kept.any():
         raise InputError("no three points of the cloud are neighbours in the camera: there is no surface")
-    kept = (lengths < _LONGEST * np.median(lengths)).all(axis=1)
     faces, sides = faces[kept], sides[kept]
     upwards = np.cross(sides[:, 0], sides[:, 1])[:, 2].sum() > 0
     return Mesh(cloud.xyz, faces if upwards else faces[:, ::-1])

@@ -93,6 +93,7 @@ def test_what_cannot_be_exported_is_one_sentence_and_leaves_no_file(tmp_path):
     for bare, says in (
         (PointCloud(points.xyz), "which pixels"),
         (PointCloud(points.xyz[::18], points.pixels[::18]), "no surface"),
+        (PointCloud(0 * points.xyz, points.pixels), "no surface"),
         (PointCloud(points.xyz[:2], np.array([[0, 0], [2**20, 2**20]], np.int32)), "claims a camera"),
     ):
         for ending in ("stl", "obj", "gwy", "gsf", "x3p"):
@@ -100,7 +101,7 @@ def test_what_cannot_be_exported_is_one_sentence_and_leaves_no_file(tmp_path):
                 export_cloud(bare, tmp_path / f"c.{ending}")
     with pytest.raises(InputError, match="no height map"):
         export_cloud(points, tmp_path / "c.stl", pitch_mm=0.01)
-    with pytest.raises(InputError, match="finer"):
+    with pytest.raises(InputError, match="pitch of 1000 µm"):
         export_cloud(points, tmp_path / "c.gwy", pitch_mm=1.0)
     assert list(tmp_path.iterdir()) == []
 

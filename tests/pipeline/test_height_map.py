@@ -113,8 +113,8 @@ def test_maps_of_several_clouds_with_one_pitch_have_common_nodes():
     np.testing.assert_allclose(over[~other.voids], other.z[~other.voids], atol=1e-12)
 
 
-@pytest.mark.parametrize("pitch", [0.0, -1.0, np.nan, np.inf, PITCH / 11])
-def test_a_pitch_that_is_none_or_finer_than_a_tenth_of_the_pixels_is_refused(pitch):
+@pytest.mark.parametrize("pitch", [0.0, -1.0, np.nan, np.inf, 1e300, 1.0, PITCH / 11])
+def test_a_pitch_that_is_none_or_much_finer_than_the_pixels_or_larger_than_all_is_refused(pitch):
     with pytest.raises(InputError, match="pitch"):
         height_map(cloud(bumps), pitch)
 

@@ -1,4 +1,4 @@
-"""The verbs of the pipeline: calibrate, measure, compare, export, decode."""
+"""The verbs of the pipeline: calibrate, measure, compare, export, decode, report."""
 
 from dataclasses import asdict
 from pathlib import Path
@@ -12,12 +12,14 @@ from greenough.instrument.verbs import JsonOption, RigArgument, RunOption, SetOp
 
 from .decode_command import app as decode_app
 from .method import Method
+from .report_command import app as report_app
 
 if TYPE_CHECKING:
     from greenough.instrument.contract import Placement
 
 app = typer.Typer()
 app.add_typer(decode_app)
+app.add_typer(report_app)
 
 
 @app.command()

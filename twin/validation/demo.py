@@ -13,9 +13,10 @@ from . import coarse_stage
 from .balls import ball_claims
 from .claims import Claim, write_claims
 from .noise import measure_plane, noise_claims
-from .pitch import pitch_claims
-from .report import SpecimenMaps, specimen_maps, write_report
+from .pitch import MeasuredBoard, measure_boards, pitch_claims
+from .report import write_report
 from .setup import Setup
+from .specimen_maps import SpecimenMaps, specimen_maps
 from .specimens import DECONVOLVED, RAW, SPECIMENS, measure_specimen, specimen_claims
 from .step import step_claims
 from .volume import PLANES, measure_volume, volume_claims
@@ -42,9 +43,9 @@ def demonstrate(rig_name: str, overrides: Sequence[str], folder: Path, advance: 
     """Run the whole demo and leave its files in ``folder``.
 
     Both calibrations are made from the same exposures, and every measurement is evaluated by both. ``claims.json``,
-    ``calibration.h5`` (the bundle's) and ``calibration-paper.h5``, ``report.html``, and the clouds and meshes of
-    ``measure_specimen``. An interrupted calibration goes on where it stopped; a finished one of the same rig and
-    settings is made again.
+    ``calibration.h5`` (the bundle's) and ``calibration-paper.h5``, ``report.html`` with its figures in ``figures``, and
+    the clouds and meshes of ``measure_specimen``. An interrupted calibration goes on where it stopped; a finished one
+    of the same rig and settings is made again.
 
     Raises
     ------
@@ -63,7 +64,10 @@ def demonstrate(rig_name: str, overrides: Sequence[str], folder: Path, advance: 
         claims += _each(volume_claims, setups, measure_volume(setups, advance))
         claims += step_claims(setups)
         advance(2)
-        claims += pitch_claims(setups)
+        boards: list[MeasuredBoard] = []
+        for board in measure_boards(setups):
+            claims += pitch_claims(setups, board)
+            boards.append(board)
         advance(2)
         maps: list[SpecimenMaps] = []
         for name in SPECIMENS:
@@ -73,13 +77,13 @@ def demonstrate(rig_name: str, overrides: Sequence[str], folder: Path, advance: 
                 if name == "bga":
                     claims += ball_claims(setup, found)
             shown = (found for setup, found in measured if setup is setups[0] and found.treatment in (RAW, DECONVOLVED))
-            maps += map(specimen_maps, shown)
+            maps += [specimen_maps(setups[0], found) for found in shown]
             advance(4)
     paper = next(setup.calibration for setup in setups if setup.believes_stage)
     claims += coarse_stage.coarse_stage_claims(rig_name, overrides, paper, advance)
     facts = {"rig": rig_name, "settings": list(overrides)}
     write_claims(folder / "claims.json", claims, facts)
-    write_report(folder / "report.html", claims, setups[0], planes[0], maps, facts)
+    write_report(folder / "report.html", claims, setups[0], planes[0], boards[0], maps, facts, folder / "figures")
     return claims
 
 

@@ -32,7 +32,7 @@ from ..settings import OpticsSettings
 from .claims import Claim
 from .coarse_stage import coarse_stage_claims
 from .noise import measure_plane, noise_claims
-from .pitch import SECOND, pitch_claims
+from .pitch import SECOND, measure_boards, pitch_claims
 from .setup import Setup
 from .step import STEP_MM, step_claims
 
@@ -211,7 +211,8 @@ def ripple_mm(gamma: float, steps: int, optics: OpticsSettings, procedure: Proce
 
 def _lengths(rig_name: str, overrides: Sequence[str], run: str, advance: Advance) -> Rows:
     setup = _calibrated(rig_name, overrides, run, "bundle", advance)
-    return _by_name(chain(step_claims([setup]), pitch_claims([setup])))
+    pitch = (row for board in measure_boards([setup]) for row in pitch_claims([setup], board))
+    return _by_name(chain(step_claims([setup]), pitch))
 
 
 def _one_plane(rig_name: str, overrides: Sequence[str], run: str, advance: Advance) -> Rows:

@@ -1,6 +1,7 @@
 """Claims about distances: neighbouring spots of the board that set the scale, and of one that did not."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -26,17 +27,51 @@ ERROR_MEAN_LIMIT_UM, ERROR_SD_LIMIT_UM = 0.1, 0.3
 FILTER = "phase averaged over each spot"
 
 
-def pitch_claims(setups: Sequence[Setup]) -> Iterator[Claim]:
-    """Distances on both boards, each held in a new posture, by every calibration."""
+@dataclass(frozen=True, eq=False)
+class MeasuredBoard:
+    """A board in a new posture, as every calibration sees it.
+
+    Parameters
+    ----------
+    part, prefix : str
+        The board, and how the names of its rows begin.
+    background : (rows, cols) float
+        Its picture, DN above black.
+    spots : Spots
+    points : sequence of (spots, 3) float64
+        Spots' centres by every calibration, mm; NaN where unseen.
+    noise : sequence of float
+        What the frames' noise gives to a distance by every calibration: a standard deviation in mm.
+    """
+
+    part: str
+    prefix: str
+    background: np.ndarray
+    spots: Spots
+    points: Sequence[np.ndarray]
+    noise: Sequence[float]
+
+
+def measure_boards(setups: Sequence[Setup]) -> Iterator[MeasuredBoard]:
+    """Hold one board after the other in a new posture, and evaluate it by every calibration.
+
+    The board that came last is still mounted when it is yielded.
+    """
     # A calibration that estimates the spots leaves their centres' scatter; one that does not, the board's print errors.
     centre_px = min(rms(np.array([s.calibration.figures[f"reprojection_rmse_{a}_px"] for a in "uv"])) for s in setups)
     for part, prefix in (("board", "pitch"), ("second-board", SECOND)):
         setups[0].place(Placement(part, posture=POSTURE))
         phase_map = setups[0].capture()
         spots = detect_spots(phase_map.background, setups[0].calibration.board)
-        for setup in setups:
-            noise = distance_noise(setup, phase_map, spots, centre_px)
-            yield from board_claims(setup, part, prefix, spot_points(phase_map, spots, setup.calibration), noise)
+        points = [spot_points(phase_map, spots, setup.calibration) for setup in setups]
+        noise = [distance_noise(setup, phase_map, spots, centre_px) for setup in setups]
+        yield MeasuredBoard(part, prefix, phase_map.background, spots, points, noise)
+
+
+def pitch_claims(setups: Sequence[Setup], board: MeasuredBoard) -> Iterator[Claim]:
+    """Distances on the mounted board by every calibration."""
+    for setup, points, noise in zip(setups, board.points, board.noise, strict=True):
+        yield from board_claims(setup, board.part, board.prefix, points, noise)
 
 
 def second_board_errors(setups: Sequence[Setup]) -> list[np.ndarray]:

@@ -1,79 +1,40 @@
-"""The demo's report: one page that stands alone, the claims as a table and what lies behind them as maps."""
+"""The demo's report: the claims, the paper's figures 7 to 15 as they came out here, and all specimens against truth."""
 
-import base64
-import io
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict
 from datetime import UTC, datetime
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-import jinja2
 import numpy as np
 from matplotlib import colormaps
-from matplotlib.axes import Axes
-from matplotlib.colors import Normalize
-from matplotlib.figure import Figure
+from matplotlib.collections import LineCollection
 
-from greenough.instrument.files import atomic_path
+from greenough.pipeline.report import calibration_figures, colours
+from greenough.pipeline.report.cloud_figures import error_panels, height_panel, rms, uncertainty_panels
+from greenough.pipeline.report.figures import (
+    FAINT,
+    FIRST,
+    SECOND,
+    THIRD,
+    Panel,
+    graph,
+    histogram,
+)
+from greenough.pipeline.report.map_panels import map_panel
+from greenough.pipeline.report.page import Figure, Page, Section, write_page
+from greenough.pipeline.report.results import CLAIMS_TEXT, calibration_sections, summary_of_claims
+from greenough.pipeline.report.surface_view import Layer, SurfaceView, error_layer, uncertainty_layer
+from greenough.pipeline.report.tables import Cell, Row, Table, claims_table, facts_table, text_of
 
 from .claims import Claim, environment
 from .noise import PlaneNoise, paper_line
+from .pitch import MeasuredBoard, all_pairs
 from .setup import Setup
-from .specimens import RAW, Measured
+from .specimen_maps import CALIBRATION_STEP_PX, SpecimenMaps
 
-SCALE_PERCENTILE = 99.0
-"""The colour scale of an error map ends at this percentile of the absolute errors where the surface is smooth."""
-
-HEIGHT_COLOURS, ERROR_COLOURS = "viridis", "RdBu_r"
-DPI = 110
-_UNKNOWN = 0.55  # grey of pixels without a point
-_FADED = 0.65  # share of light grey in the colour of errors that do not count
-_MARGIN_PX = 10
-
-
-@dataclass(frozen=True, eq=False)
-class SpecimenMaps:
-    """What the report shows of one specimen; all arrays are (rows, cols).
-
-    Parameters
-    ----------
-    name : str
-    background : float32
-        The picture under even light, DN above black.
-    height_mm : float32
-        Measured z, NaN where there is no point.
-    error_um : float32
-        Vertical error, NaN where there is no point or truth does not call the pixel lit and seen.
-    smooth : bool
-        Where errors count.
-    """
-
-    name: str
-    background: np.ndarray
-    height_mm: np.ndarray
-    error_um: np.ndarray
-    smooth: np.ndarray
-
-
-def specimen_maps(measured: Measured) -> SpecimenMaps:
-    """The maps of a measured specimen.
-
-    Point and truth lie on one camera ray, some µm apart: the vertical error is taken to the tangent plane at the true
-    point, which is the surface itself as far as it is smooth.
-    """
-    truth = measured.truth
-    normal = truth.normal_world
-    with np.errstate(divide="ignore", invalid="ignore"):
-        error = np.einsum("rci,rci->rc", measured.points.xyz - truth.xyz_world, normal) / normal[..., 2]
-    return SpecimenMaps(
-        name=measured.name if measured.treatment == RAW else f"{measured.name}, {measured.treatment}",
-        background=measured.background.astype(np.float32),
-        height_mm=measured.points.xyz[..., 2].astype(np.float32),
-        error_um=np.where(truth.lit_and_seen, 1e3 * error, np.nan).astype(np.float32),
-        smooth=measured.smooth,
-    )
+PAPER_ROW, PAPER_COL = 200, 300
+"""Row and column of the diaphragm's maps whose profiles the paper shows."""
 
 
 def write_report(
@@ -81,8 +42,10 @@ def write_report(
     claims: Sequence[Claim],
     setup: Setup,
     plane: PlaneNoise,
+    board: MeasuredBoard,
     specimens: Sequence[SpecimenMaps],
     facts: Mapping[str, Any],
+    pictures: Path | None = None,
 ) -> None:
     """Write the report; it appears whole or not at all.
 
@@ -94,209 +57,295 @@ def write_report(
     setup : Setup
         Whose figures they are.
     plane : PlaneNoise
+    board : MeasuredBoard
+        The board of the calibration in a new posture.
     specimens : sequence of SpecimenMaps
     facts : mapping
-        More for the header, such as the rig and its settings.
+        More of what the figures were made with, such as the rig and its settings.
+    pictures : Path, optional
+        Folder for the figures as PNG.
     """
-    template = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    ).from_string(files("greenough.twin.validation").joinpath("report.html").read_text(encoding="utf-8"))
-    page = template.render(
-        header=_header(setup, facts),
-        claims=claims,
-        judged=[claim for claim in claims if claim.holds is not None],
-        unexpected=[claim for claim in claims if not claim.as_expected],
-        figures=_figures(plane, setup.filter_name, specimens),
-        calibration={name.replace("_", " "): _text(value) for name, value in setup.calibration.figures.items()},
-        number=_text,
+    for_papers = pictures is not None
+    rows = [asdict(claim) for claim in claims]
+    wrong = [row for row, claim in zip(rows, claims, strict=True) if not claim.as_expected]
+    judged = sum(claim.holds is not None for claim in claims)
+    page = Page(
+        title="Claims and measurements",
+        summary=summary_of_claims(len(rows), judged, wrong),
+        sections=[
+            Section("Claims", CLAIMS_TEXT, tables=[claims_table(rows)]),
+            *calibration_part(setup, for_papers),
+            plane_section(plane, setup.filter_name, for_papers),
+            board_section(board, setup, for_papers),
+            *specimen_sections(specimens, for_papers),
+            Section("Made with", tables=[facts_table(_made_with(setup, facts), "What the figures were made with")]),
+        ],
+        surfaces=[_surface(maps) for maps in _best(specimens)],
+        alarm=bool(wrong),
     )
-    with atomic_path(path) as temporary:
-        temporary.write_text(page, encoding="utf-8")
+    write_page(path, page, pictures)
 
 
-def _header(setup: Setup, facts: Mapping[str, Any]) -> dict[str, str]:
+def calibration_part(setup: Setup, for_papers: bool) -> list[Section]:
+    """The patterns, and what the calibration says about itself."""
+    calibration = setup.calibration
+    patterns = calibration_figures.patterns_figure(calibration.fringes, setup.rig.projector.shape, for_papers)
+    return [Section("Patterns", figures=[patterns]), *calibration_sections(calibration, for_papers)]
+
+
+def plane_section(plane: PlaneNoise, filter_name: str, for_papers: bool) -> Section:
+    """What one exposure of a plane scatters by: the paper's figure 11."""
+    panels: list[Panel] = []
+    raw, filtered = 1e3 * plane.raw, 1e3 * plane.filtered
+    row, reach = paper_line(len(raw)), colours.reach(raw)
+    for values, which in ((raw, "unfiltered"), (filtered, "filtered")):
+        limit = colours.reach(values)
+        map_panel(
+            panels, f"plane-{which}", f"departure from the best plane, {which}", values, "departure (µm)",
+            colours.ERROR, -limit, limit, for_papers, rows=[row],
+        )  # fmt: skip
+    with graph(
+        panels,
+        "plane-profile",
+        f"image row {row}, dashed in the maps",
+        "column (px)",
+        "departure (µm)",
+        f"Departure along image row {row}",
+        for_papers,
+    ) as axes:
+        seen = np.flatnonzero(np.isfinite(raw[row]))
+        axes.plot(raw[row], color=FAINT, linewidth=0.5, label="unfiltered")
+        axes.plot(filtered[row], color=FIRST, label="filtered")
+        axes.set_ylim(-1.5 * reach, 1.9 * reach)
+        if len(seen):
+            axes.set_xlim(seen[0], seen[-1])
+        axes.legend(loc="upper right", ncols=2)
+    with graph(
+        panels,
+        "plane-histogram",
+        f"RMS {rms(raw):.2f} µm, filtered {rms(filtered):.2f} µm",
+        "",
+        "",
+        "Histogram of the departures",
+        for_papers,
+    ) as axes:
+        histogram(axes, [("unfiltered", raw, FAINT), ("filtered", filtered, FIRST)], reach, "departure (µm)")
+    caption = (
+        f"One exposure, aligned to its own best plane. Filtered: {filter_name}. The paper shows row {row} as well. "
+        "Colours end at the 99th percentile of the absolute values."
+    )
+    return Section("Plane", figures=[Figure(panels, caption)])
+
+
+def board_section(board: MeasuredBoard, setup: Setup, for_papers: bool) -> Section:
+    """Spot centres in space and the distances of neighbours: the paper's figure 12."""
+    panels: list[Panel] = []
+    bright = max(colours.ends(board.background, 99.5)[1], 1.0)
+    map_panel(
+        panels, "board-picture", "the board in a new posture, spots found", board.background, "DN above black",
+        colours.LIGHT, 0.0, bright, for_papers, spots=board.spots.centres_px[board.spots.seen],
+    )  # fmt: skip
+    points, nominal = board.points[0], setup.calibration.board.pitch_mm
+    pairs = all_pairs(setup.calibration.board)
+    ends = points[pairs]  # (pairs, 2, 3)
+    ends = ends[np.isfinite(ends).all(axis=(1, 2))]
+    error = 1e3 * (np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1) - nominal)
+    limit = colours.reach(error)
+    low, high = colours.ends(points[:, 2])
+    for axis, name in ((1, "y"), (2, "z")):
+        with graph(
+            panels,
+            f"board-centres-{name}",
+            f"centres in space, x and {name}",
+            "x (mm)",
+            f"{name} (mm)",
+            f"Spot centres, x and {name}",
+            for_papers,
+        ) as axes:
+            links = LineCollection(
+                list(ends[..., [0, axis]]), colors=colormaps[colours.ERROR](0.5 + 0.5 * error / limit), linewidths=2.0
+            )
+            axes.add_collection(links)
+            axes.plot(points[:, 0], points[:, axis], "o", color=FIRST, markersize=2.6, markeredgewidth=0)
+            if axis == 1:
+                axes.set_aspect("equal", adjustable="datalim")
+    mean, sd = (float(error.mean()), float(error.std(ddof=1))) if len(error) > 1 else (np.nan, np.nan)
+    title = f"mean {nominal + 1e-3 * mean:.5f} mm, sd {sd:.2f} µm, n = {len(error)}"
+    with graph(panels, "board-distances", title, "", "", "Distances of neighbouring spots", for_papers) as axes:
+        counts, edges = np.histogram(error, bins=40)
+        axes.stairs(counts, edges, color=FIRST, fill=True, alpha=0.35)
+        axes.set(xlabel=f"distance less {nominal:g} mm (µm)", ylabel="pairs")
+        axes.axvline(0, color=FAINT, linewidth=0.8, linestyle=(0, (4, 3)))
+    caption = (
+        f"Spots of the calibration's board in a posture that it has not seen; heights from {low:.2f} to {high:.2f} mm. "
+        f"Links are red where neighbours are farther apart than {nominal:g} mm and blue where they are nearer, in full "
+        f"colour at {limit:.2f} µm; the print's own errors are in it. Phase averaged over each spot; no alignment."
+    )
+    return Section("Distances on the board", figures=[Figure(panels, caption)])
+
+
+def specimen_sections(specimens: Sequence[SpecimenMaps], for_papers: bool) -> Iterator[Section]:
+    """A section for each specimen and treatment, and one for what the diaphragm's states say together."""
+    for maps in specimens:
+        figures = [specimen_figure(maps, for_papers)]
+        tables: list[Table] = []
+        if maps.balls_mm is not None:
+            figures.append(section_of_balls(maps, for_papers))
+            tables.append(ball_table(maps.balls_mm))
+        yield Section(maps.title[:1].upper() + maps.title[1:], figures=figures, tables=tables)
+    states = [maps for maps in specimens if maps.name.startswith("diaphragm")]
+    if states:
+        yield Section("Diaphragm in its states", figures=[diaphragm_figure(states, for_papers)])
+
+
+def specimen_figure(maps: SpecimenMaps, for_papers: bool) -> Figure:
+    """Picture, height, error and uncertainty: the paper's figures 13 to 15, and what it could not show."""
+    panels: list[Panel] = []
+    stem = maps.stem
+    bright = max(colours.ends(maps.background, 99.5)[1], 1.0)
+    map_panel(
+        panels, f"{stem}-picture", "camera's picture", maps.background, "DN above black", colours.LIGHT, 0.0, bright,
+        for_papers, origin=maps.origin,
+    )  # fmt: skip
+    height_panel(panels, stem, maps.height_mm, maps.origin, for_papers)
+    error_panels(panels, stem, maps.error_um, maps.smooth, maps.origin, for_papers, ("smooth", "not smooth"))
+    sigmas = [
+        (title, values, step)
+        for title, values, step in (
+            ("σ z by noise", maps.sigma_noise_um, 1),
+            ("σ z by the calibration", maps.sigma_calibration_um, CALIBRATION_STEP_PX),
+        )
+        if values is not None
+    ]
+    uncertainty_panels(panels, stem, sigmas, maps.origin, for_papers)
+    caption = (
+        f"Filter: {maps.filter}. In the calibrated frame without any alignment. Error: vertical, against the surface "
+        "that was rendered, where it is lit and seen; faded: not smooth over an Airy disc, so that it does not count "
+        "in bias and RMSE. Colours end at the 99th percentile. σ z: standard uncertainty of the height."
+    )
+    return Figure(panels, caption)
+
+
+def section_of_balls(maps: SpecimenMaps, for_papers: bool) -> Figure:
+    """A cross-section along the middle row of balls, and the apexes' errors."""
+    panels: list[Panel] = []
+    assert maps.balls_mm is not None
+    # The middle row of balls is where, near the middle, most of a picture's row is high above the substrate.
+    z = maps.height_mm
+    low, high = colours.ends(z)
+    near = np.arange(len(z) // 3, max(len(z) // 3 + 1, 2 * len(z) // 3))
+    row = int(near[np.argmax(np.sum(z[near] > low + 0.8 * (high - low), axis=1))])
+    with graph(
+        panels,
+        f"{maps.stem}-section",
+        f"section along image row {maps.origin[0] + row}",
+        "x (mm)",
+        "z (mm)",
+        "Section through a row of balls",
+        for_papers,
+    ) as axes:
+        axes.plot(maps.xyz[row, :, 0], z[row], ".", color=FIRST, markersize=1.6, markeredgewidth=0)
+        room = 0.15 * (high - low)
+        axes.set_ylim(low - room, high + room)
+    error = 1e3 * (maps.balls_mm[:, 0] - maps.balls_mm[:, 1])
+    with graph(
+        panels,
+        f"{maps.stem}-apexes",
+        f"apexes, RMSE {rms(error):.2f} µm",
+        "ball",
+        "error of the apex height (µm)",
+        "Errors of the apexes' heights",
+        for_papers,
+    ) as axes:
+        axes.plot(np.arange(len(error)), error, "o", color=FIRST, markersize=2.8, markeredgewidth=0)
+        axes.axhline(0, color=FAINT, linewidth=0.8)
+    return Figure(
+        panels, f"Filter: {maps.filter}. Apex: top of a paraboloid over 15° of the ball, above the substrate."
+    )
+
+
+def ball_table(balls_mm: np.ndarray) -> Table:
+    """Heights of all balls, measured and true."""
+    rows = [
+        Row(
+            [
+                Cell(str(k)),
+                *(Cell(text_of(round(1e3 * float(height), 2))) for height in (measured, true, measured - true)),
+            ]
+        )
+        for k, (measured, true) in enumerate(balls_mm)
+    ]
+    columns = ("ball", "height (µm)", "true height (µm)", "error (µm)")
+    return Table("Balls", columns, rows, frozenset(columns[1:]), tall=True)
+
+
+def diaphragm_figure(states: Sequence[SpecimenMaps], for_papers: bool) -> Figure:
+    """Profiles of all states along one row and one column: the paper's figure 15."""
+    panels: list[Panel] = []
+    shown = f"row {PAPER_ROW} and column {PAPER_COL}"
+    row, col = (min(at, int(n) - 1) for at, n in zip((PAPER_ROW, PAPER_COL), states[0].height_mm.shape, strict=True))
+    styles = (FIRST, THIRD, SECOND)
+    low, high = colours.ends(np.concatenate([maps.height_mm.ravel() for maps in states]))
+    room = 0.08 * (high - low)
+    v, u = states[0].origin[0] + row, states[0].origin[1] + col
+    for what, axis, title in ((0, "row", f"image row {v}"), (1, "column", f"image column {u}")):
+        with graph(
+            panels,
+            f"diaphragm-{axis}",
+            title,
+            f"{'x' if what == 0 else 'y'} (mm)",
+            "z (mm)",
+            f"Heights along {title}",
+            for_papers,
+        ) as axes:
+            for maps, colour in zip(states, styles, strict=False):
+                dv, du = v - maps.origin[0], u - maps.origin[1]
+                line = maps.xyz[dv] if what == 0 else maps.xyz[:, du]
+                axes.plot(line[:, what], line[:, 2], color=colour, label=maps.name.removeprefix("diaphragm-"))
+            axes.set_ylim(low - room, high + 3.5 * room)
+            axes.legend(loc="upper center", ncols=3)
+    caption = (
+        f"The paper's {shown}, counted from the first of the first state's map. Filter: {states[0].filter}; no "
+        "alignment."
+    )
+    return Figure(panels, caption)
+
+
+def _best(specimens: Sequence[SpecimenMaps]) -> list[SpecimenMaps]:
+    """The last treatment of every specimen: metal and solder deconvolved, where they could be."""
+    return list({maps.name: maps for maps in specimens}.values())
+
+
+def _surface(maps: SpecimenMaps) -> SurfaceView:
+    layers: list[Layer] = [error_layer(maps.error_um)]
+    if np.any(maps.counts):
+        limit = colours.reach(maps.error_um[maps.counts])
+        layers = [Layer("error", "µm", maps.error_um, -limit, limit, colours.ERROR, 1)]
+    if maps.sigma_noise_um is not None:
+        layers.append(uncertainty_layer("σ z by noise", maps.sigma_noise_um))
+    if maps.sigma_calibration_um is not None:
+        step = CALIBRATION_STEP_PX
+        whole = maps.sigma_calibration_um.repeat(step, axis=0).repeat(step, axis=1)
+        rows, cols = maps.height_mm.shape
+        layers.append(uncertainty_layer("σ z by calibration", whole[:rows, :cols]))
+    note = f"Filter: {maps.filter}; alignment: none. Error: vertical, against the surface that was rendered."
+    return SurfaceView(maps.title, maps.xyz, layers, note, maps.origin)
+
+
+def _made_with(setup: Setup, facts: Mapping[str, Any]) -> dict[str, Any]:
     where = environment()
     procedure, optics = setup.calibration.procedure, setup.bench.settings.optics
     rows, cols = setup.calibration.camera.shape
     return {
-        **{name: _text(value) for name, value in facts.items()},
+        **facts,
         "instrument's seed": str(setup.bench.settings.seed),
         "settings, SHA-256": setup.rig.identity.settings_sha256,
         "camera": f"{cols} x {rows} px of {1e3 * optics.pupil_distance_mm / optics.camera_focal_px:.2f} µm "
         f"on the specimen, Airy radius {setup.airy_radius_px:.2f} px",
-        "fringes": f"periods {_text(procedure.periods_px)} px, steps {_text(procedure.steps)}",
+        "fringes": f"periods {text_of(procedure.periods_px)} px, steps {text_of(procedure.steps)}",
         "calibration": f"{setup.calibration.figures['method']} method, {procedure.postures} postures, "
         f"{procedure.planes} planes {1e3 * procedure.plane_step_mm:g} µm apart, run {setup.calibration.run!r}",
         "written": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
-        "with": ", ".join(f"{name} {version}" for name, version in where["packages"].items()),
+        "with": where["packages"],
         "on": f"Python {where['python']}, {where['platform']}, {where['cpus']} CPUs",
     }
-
-
-def _figures(plane: PlaneNoise, filter_name: str, specimens: Sequence[SpecimenMaps]) -> Iterator[dict[str, str]]:
-    """One figure after the other, so that only one is in memory."""
-    yield {"title": "Plane", "picture": _data_uri(_plane_figure(plane)), "caption": _plane_caption(filter_name)}
-    for maps in specimens:
-        yield {"title": maps.name, "picture": _data_uri(_specimen_figure(maps)), "caption": _SPECIMEN_CAPTION}
-
-
-def _plane_caption(filter_name: str) -> str:
-    return (
-        f"One exposure. Map and blue curves: {filter_name}. Grey: unfiltered. The colours end at the "
-        f"{SCALE_PERCENTILE:g}th percentile of the absolute values."
-    )
-
-
-_SPECIMEN_CAPTION = (
-    "Unfiltered, in the calibrated frame without any alignment. Error: vertical, against the surface that was "
-    f"rendered. Colours end at the {SCALE_PERCENTILE:g}th percentile of the absolute errors on smooth surface; faded "
-    "colours: lit and seen, but not smooth over an Airy disc, so they do not count in bias, RMSE and p95; grey: no "
-    "point."
-)
-
-
-def _plane_figure(plane: PlaneNoise) -> Figure:
-    figure = Figure(figsize=(10.5, 6.4), dpi=DPI, layout="constrained")
-    axes = figure.subplot_mosaic(
-        [["map", "histogram"], ["line", "line"]], width_ratios=[1.5, 1], height_ratios=[1.5, 1]
-    )
-    raw, filtered = 1e3 * plane.raw, 1e3 * plane.filtered
-    window = _window(np.isfinite(raw))
-    limit = _percentile(filtered)
-    _show_errors(axes["map"], filtered, np.isfinite(filtered), limit, window)
-    axes["map"].set_title("departure from the best plane, filtered")
-    row = paper_line(len(raw))
-    axes["map"].axhline(row, color="black", linewidth=0.6, linestyle="--")
-    reach = _percentile(raw)
-    _histogram(axes["histogram"], ("unfiltered", raw), ("filtered", filtered), reach)
-    title = f"RMS unfiltered {_rms(raw):.2f} µm, filtered {_rms(filtered):.2f} µm"
-    axes["histogram"].set(title=title, xlabel="departure (µm)")
-    axes["line"].plot(raw[row], color="0.6", linewidth=0.6, label="unfiltered")
-    axes["line"].plot(filtered[row], color="tab:blue", linewidth=1.0, label="filtered")
-    axes["line"].set(
-        title=f"image row {row}, dashed in the map", xlabel="column u (px)", ylabel="departure (µm)",
-        xlim=(window[1].start, window[1].stop), ylim=(-1.5 * reach, 1.5 * reach),
-    )  # fmt: skip
-    axes["line"].grid(alpha=0.3)
-    axes["line"].legend(loc="upper right", ncols=2)
-    return figure
-
-
-def _specimen_figure(maps: SpecimenMaps) -> Figure:
-    figure = Figure(figsize=(10.5, 7.2), dpi=DPI, layout="constrained")
-    (picture, height), (error, histogram) = figure.subplots(2, 2)
-    window = _window(np.isfinite(maps.height_mm))
-    counts = maps.smooth & np.isfinite(maps.error_um)
-    bright = float(np.percentile(maps.background, 99.5))
-    _image(picture, maps.background, window, "gray", Normalize(0, bright or 1), "background (DN above black)")
-    picture.set_title("camera's picture")
-    low, high = _ends(maps.height_mm)
-    _image(height, maps.height_mm, window, HEIGHT_COLOURS, Normalize(low, high), "z (mm)")
-    height.set_title("measured height")
-    limit = _percentile(maps.error_um[counts])
-    _show_errors(error, maps.error_um, counts, limit, window)
-    error.set_title("error")
-    judged = maps.error_um[counts]
-    _histogram(histogram, ("smooth", judged), ("not smooth", maps.error_um[~maps.smooth]), limit)
-    mean = float(judged.mean()) if len(judged) else np.nan
-    histogram.axvline(mean, color="black", linewidth=0.8, linestyle="--")
-    histogram.set(title=f"smooth: bias {mean:.2f} µm (dashed), RMSE {_rms(judged):.2f} µm", xlabel="error (µm)")
-    return figure
-
-
-def _image(
-    axes: Axes, values: np.ndarray, window: tuple[slice, slice], colours: str, norm: Normalize, label: str
-) -> None:
-    colour_map = colormaps[colours].with_extremes(bad=str(_UNKNOWN))
-    # No resampling: averaging neighbours would show less noise than there is.
-    image = axes.imshow(values[window], cmap=colour_map, norm=norm, extent=_extent(window), interpolation="nearest")
-    assert axes.figure is not None
-    axes.figure.colorbar(image, ax=axes, label=label, shrink=0.85)
-    axes.set(xlabel="column u (px)", ylabel="row v (px)")
-
-
-def _show_errors(
-    axes: Axes, error_um: np.ndarray, counts: np.ndarray, limit: float, window: tuple[slice, slice]
-) -> None:
-    """An error map in diverging colours, faded where the errors do not count."""
-    norm = Normalize(-limit, limit)
-    _image(axes, error_um, window, ERROR_COLOURS, norm, "error (µm)")
-    shown, judged = error_um[window], counts[window]
-    colours = colormaps[ERROR_COLOURS](norm(np.nan_to_num(shown)))
-    colours[~judged, :3] = (1 - _FADED) * colours[~judged, :3] + _FADED * 0.85
-    colours[~np.isfinite(shown), :3] = _UNKNOWN
-    axes.images[0].remove()
-    axes.imshow(colours, extent=_extent(window), interpolation="nearest")
-
-
-def _histogram(axes: Axes, filled: tuple[str, np.ndarray], outlined: tuple[str, np.ndarray], limit: float) -> None:
-    """Two labelled samples over one and a half times ``limit``."""
-    most = 1.0
-    for (label, values), fill, colour in ((filled, True, "0.7"), (outlined, False, "tab:blue")):
-        seen = values[np.isfinite(values)]
-        beyond = float(np.mean(np.abs(seen) > 1.5 * limit)) if len(seen) else 0.0
-        label = f"{label}, n = {_text(len(seen))}" + (f", {100 * beyond:.2g} % beyond the axis" if beyond else "")
-        span = (-1.5 * limit, 1.5 * limit)
-        counts, edges = np.histogram(seen, bins=120, range=span)
-        axes.stairs(counts, edges, fill=fill, color=colour, label=label)
-        most = max(most, float(np.max(counts)))
-    # Tails are what matters; the room above keeps the legend off the curves.
-    axes.set(ylabel="pixels", xlim=(-1.5 * limit, 1.5 * limit), ylim=(0.8, 30 * most))
-    axes.set_yscale("log")
-    axes.grid(alpha=0.3)
-    axes.legend(loc="upper left", fontsize="small")
-
-
-def _window(wanted: np.ndarray) -> tuple[slice, slice]:
-    """Rows and columns that hold everything wanted, with a margin; the whole picture where nothing is."""
-    rows, cols = np.flatnonzero(wanted.any(axis=1)), np.flatnonzero(wanted.any(axis=0))
-    if len(rows) == 0:
-        return slice(0, wanted.shape[0]), slice(0, wanted.shape[1])
-    down, across = (
-        slice(max(0, int(seen[0]) - _MARGIN_PX), min(length, int(seen[-1]) + 1 + _MARGIN_PX))
-        for seen, length in zip((rows, cols), wanted.shape, strict=True)
-    )
-    return down, across
-
-
-def _extent(window: tuple[slice, slice]) -> tuple[float, float, float, float]:
-    """Pixel centres at integers, rows downwards."""
-    rows, cols = window
-    return cols.start - 0.5, cols.stop - 0.5, rows.stop - 0.5, rows.start - 0.5
-
-
-def _ends(values: np.ndarray) -> tuple[float, float]:
-    seen = values[np.isfinite(values)]
-    low, high = np.percentile(seen, [1, 99]) if len(seen) else (0.0, 1.0)
-    return float(low), float(high)
-
-
-def _percentile(values: np.ndarray) -> float:
-    seen = np.abs(values[np.isfinite(values)])
-    return float(np.percentile(seen, SCALE_PERCENTILE)) or 1.0 if len(seen) else 1.0
-
-
-def _rms(values: np.ndarray) -> float:
-    seen = values[np.isfinite(values)].astype(np.float64)
-    return float(np.sqrt(np.mean(seen**2))) if len(seen) else np.nan
-
-
-def _data_uri(figure: Figure) -> str:
-    """The figure as PNG in a data URI. A figure without pyplot is drawn by Agg and freed with its last reference."""
-    png = io.BytesIO()
-    figure.savefig(png, format="png", bbox_inches="tight", pad_inches=0.05)
-    return "data:image/png;base64," + base64.b64encode(png.getvalue()).decode("ascii")
-
-
-def _text(value: Any) -> str:
-    if value is None:
-        return "–"
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, int):
-        return f"{value:,}".replace(",", "\u202f")
-    if isinstance(value, float):
-        return f"{value:.5g}".replace("-", "−")
-    if isinstance(value, list | tuple):
-        return ", ".join(_text(item) for item in value) or "–"
-    return str(value)

@@ -1,0 +1,138 @@
+"""Tables of a report: numbers as text, facts, claims and acceptance rows as they lie in their files."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+NARROW_SPACE, MINUS = "\u202f", "−"
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One field of a table: its text, and a remark in small letters that stands beside or below it."""
+
+    text: str
+    small: str = ""
+    below: bool = False
+
+
+@dataclass(frozen=True)
+class Row:
+    """Cells in the order of the columns; ``marked`` rows are shaded."""
+
+    cells: Sequence[Cell]
+    marked: bool = False
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows under headings.
+
+    Parameters
+    ----------
+    label : str
+        What the table is, for those who do not see it.
+    columns : sequence of str
+    rows : sequence of Row
+    numbers : set of str
+        Columns of numbers, which are aligned to the right.
+    tall : bool
+        Whether it is so long that it scrolls by itself and can be searched.
+    """
+
+    label: str
+    columns: Sequence[str]
+    rows: Sequence[Row]
+    numbers: frozenset[str] = field(default_factory=frozenset)
+    tall: bool = False
+
+
+def text_of(value: Any) -> str:
+    """A value as the page shows it: five digits, a true minus, thousands apart, – for nothing."""
+    if value is None or value != value:
+        return "–"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, int):
+        return f"{value:,}".replace(",", NARROW_SPACE).replace("-", MINUS)
+    if isinstance(value, float):
+        return f"{value:.5g}".replace("-", MINUS)
+    if isinstance(value, list | tuple):
+        return ", ".join(text_of(item) for item in value) or "–"
+    if isinstance(value, Mapping):
+        return ", ".join(f"{name} {text_of(item)}" for name, item in value.items()) or "–"
+    return str(value)
+
+
+def unit_of(unit: Any) -> str:
+    """A unit as it is printed: ``um`` is µm, and 1 is nothing."""
+    return {"um": "µm", "1": ""}.get(str(unit), str(unit))
+
+
+_CLAIM_COLUMNS = (
+    "claim", "specimen", "calibration", "paper", "measured", "unit", "limit", "predicted", "holds", "expected", "n",
+    "filter", "alignment",
+)  # fmt: skip
+
+
+def is_as_expected(claim: Mapping[str, Any]) -> bool:
+    """Whether a claim behaves as it should: held where it should hold, failed where it cannot, or open."""
+    return claim.get("expected_to_hold") is None or claim.get("holds") == claim["expected_to_hold"]
+
+
+def claims_table(claims: Iterable[Mapping[str, Any]]) -> Table:
+    """Rows as ``claims.json`` has them; those that behave otherwise than expected are marked."""
+    return Table(
+        "Claims", _CLAIM_COLUMNS, [_claim_row(claim) for claim in claims],
+        frozenset({"paper", "measured", "limit", "predicted", "n"}), tall=True,
+    )  # fmt: skip
+
+
+def _claim_row(claim: Mapping[str, Any]) -> Row:
+    get, expected = claim.get, is_as_expected(claim)
+    spread = get("predicted_sd")
+    either = get("holds") is not None and get("expected_to_hold") is None
+    return Row(
+        [
+            Cell(text_of(get("claim")), str(get("criterion") or ""), below=True),
+            Cell(text_of(get("specimen"))),
+            Cell(text_of(get("calibration"))),
+            Cell(text_of(get("paper"))),
+            Cell(text_of(get("measured"))),
+            Cell(unit_of(get("unit"))),
+            Cell(text_of(get("limit"))),
+            Cell(text_of(get("predicted")), "" if not _number(spread) else f"± {spread:.2g}"),
+            Cell(text_of(get("holds"))),
+            Cell("either" if either else text_of(get("expected_to_hold")), "" if expected else "(unexpected)"),
+            Cell(text_of(get("n"))),
+            Cell(text_of(get("filter"))),
+            Cell(text_of(get("alignment"))),
+        ],
+        marked=not expected,
+    )
+
+
+_ROW_COLUMNS = (
+    "name", "artefact", "value", "u", "unit", "peer", "ratio", "limit", "holds", "n", "filter", "alignment",
+)  # fmt: skip
+
+
+def acceptance_table(rows: Iterable[Mapping[str, Any]]) -> Table:
+    """Rows as the file of ``greenough accept`` has them; those that do not hold are marked."""
+    made = []
+    for row in rows:
+        cells = [Cell(text_of(row.get(name))) for name in _ROW_COLUMNS]
+        cells[0] = Cell(text_of(row.get("name")), str(row.get("criterion") or ""), below=True)
+        cells[_ROW_COLUMNS.index("unit")] = Cell(unit_of(row.get("unit") or ""))
+        made.append(Row(cells, marked=row.get("holds") is False))
+    return Table("Acceptance", _ROW_COLUMNS, made, frozenset({"value", "u", "peer", "ratio", "limit", "n"}), tall=True)
+
+
+def facts_table(facts: Mapping[str, Any], label: str) -> Table:
+    """Names and values, without headings."""
+    rows = [Row([Cell(name.replace("_", " ")), Cell(text_of(value))]) for name, value in facts.items()]
+    return Table(label, (), rows)
+
+
+def _number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)

@@ -1,0 +1,41 @@
+"""The verb ``report``."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from greenough.instrument.progress import progress
+from greenough.instrument.verbs import JsonOption, show
+
+app = typer.Typer()
+
+
+@app.command()
+def report(
+    result: Annotated[
+        Path,
+        typer.Argument(metavar="RESULT", help="A cloud (.ply), a calibration (.h5), a table (.json), a demo's folder."),
+    ],
+    mesh: Annotated[
+        Path | None, typer.Argument(metavar="[MESH]", help="What a cloud should lie on: PLY, STL or OBJ, in mm.")
+    ] = None,
+    out: Annotated[Path, typer.Option("--out", metavar="FILE.html", help="The page to write.")] = Path("report.html"),
+    png: Annotated[
+        Path | None, typer.Option("--png", metavar="FOLDER", help="Where the figures go as PNG too, for papers.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Make a page that shows a result: tables, figures, and surfaces in three dimensions.
+
+    It is one file that opens without a network.
+    """
+    from .report.page import write_page
+    from .report.results import page_of
+
+    with progress(1, f"reporting on {result}", quiet=as_json) as advance:
+        page = page_of(result, mesh, for_papers=png is not None)
+        write_page(out, page, png)
+        advance(1)
+    shown = {"report": out, "bytes": out.stat().st_size, "surfaces": len(page.surfaces)}
+    show(shown if png is None else {**shown, "figures": png}, as_json)

@@ -12,6 +12,7 @@ from greenough.instrument.verbs import JsonOption, RigArgument, RunOption, SetOp
 
 from .decode_command import app as decode_app
 from .method import Method
+from .report_command import ReportOption
 from .report_command import app as report_app
 
 if TYPE_CHECKING:
@@ -35,6 +36,7 @@ def calibrate(
         ),
     ] = "bundle",
     run: RunOption = "calibrate",
+    report: ReportOption = None,
     settings: SetOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -54,6 +56,11 @@ def calibrate(
         steps = acquisition.calibration_steps(opened.procedure, [method])
         with progress(steps, "calibrating", quiet=as_json) as advance:
             calibration = acquisition.calibrate(opened, out, run, advance, method)
+    if report is not None:
+        from .report.page import write_page
+        from .report.results import calibration_page
+
+        write_page(report, calibration_page(out.name, calibration, for_papers=False))
     summary = {"calibration": out, "rig": calibration.identity.name, "run": run, "method": calibration.method}
     show({**summary, **calibration.figures}, as_json)
 
@@ -94,6 +101,7 @@ def measure(
     run: Annotated[
         str | None, typer.Option("--run", metavar="NAME", help="Name of the run. [default: measure-SAMPLE]")
     ] = None,
+    report: ReportOption = None,
     settings: SetOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -144,6 +152,11 @@ def measure(
     if len(cloud.xyz) == 0:
         raise InputError(f"no point of {sample} could be measured: check that it lies in the light and in the z range")
     write_cloud(out, cloud)
+    if report is not None:
+        from .report.page import write_page
+        from .report.results import cloud_page
+
+        write_page(report, cloud_page(out.name, cloud, None, for_papers=False))
     low, high = cloud.xyz.min(axis=0), cloud.xyz.max(axis=0)
     sigma_um = {
         f"sigma_{cause}_um": 1e3 * np.median(sd, axis=0)

@@ -10,6 +10,10 @@ from greenough.instrument.verbs import JsonOption, show
 
 app = typer.Typer()
 
+ReportOption = Annotated[
+    Path | None, typer.Option("--report", metavar="FILE.html", help="Write a page that shows the result as well.")
+]
+
 
 @app.command()
 def report(

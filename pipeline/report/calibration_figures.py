@@ -31,16 +31,28 @@ _EVERY_PX = 16  # pixels of the map of the calibration's uncertainty
 def patterns_figure(fringes: FringeSet, shape: tuple[int, int], for_papers: bool) -> Figure:
     """The first pattern of each period, as the projector of ``shape`` (rows, cols) shows it."""
     panels: list[Panel] = []
-    patterns, first = fringes.patterns(*shape), 0
-    for k, (period, steps) in enumerate(zip(fringes.periods, fringes.steps, strict=True)):
-        map_panel(
-            panels, f"pattern-{k}", f"period {period:g} px, first of {steps} steps", patterns[first].astype(np.float32),
-            "grey level", colours.LIGHT, 0.0, 255.0, for_papers,
-        )  # fmt: skip
-        first += steps
+    patterns = fringes.patterns(*shape)
+    firsts = np.concatenate([[0], np.cumsum(fringes.steps)[:-1]])
+    bands = np.array_split(np.arange(shape[0]), len(firsts))
+    sheet = np.concatenate([patterns[first][band] for first, band in zip(firsts, bands, strict=True)])
+    map_panel(
+        panels, "patterns", "first pattern of each period", sheet.astype(np.float32), "grey level", colours.LIGHT,
+        0.0, 255.0, for_papers,
+    )  # fmt: skip
+    with graph(
+        panels, "pattern-rows", "grey levels along a row", "column (px)", "grey level", "Grey levels of the patterns",
+        for_papers,
+    ) as axes:  # fmt: skip
+        styles = (FIRST, SECOND, THIRD, FOURTH)
+        for k, (first, period) in enumerate(zip(firsts, fringes.periods, strict=True)):
+            axes.plot(patterns[first][0], color=styles[k % len(styles)], linewidth=0.8, label=f"{period:g} px")
+        axes.set(xlim=(0, min(shape[1], 160) - 1), ylim=(-5, 320))
+        axes.legend(loc="upper center", ncols=len(firsts))
     return Figure(
         panels,
-        f"What is projected: {first} patterns of {shape[1]} x {shape[0]} mirrors. Each step shifts the fringes by the "
+        f"What is projected: {len(patterns)} patterns of {shape[1]} x {shape[0]} mirrors, of the periods "
+        f"{', '.join(f'{period:g}' for period in fringes.periods)} px in {', '.join(map(str, fringes.steps))} steps. "
+        "Left, the first of each in a band of its own, from the coarsest down; each step shifts the fringes by the "
         "period over the number of steps.",
     )
 
@@ -92,8 +104,8 @@ def postures_figure(calibration: Calibration, for_papers: bool) -> Figure:
     return Figure(
         panels,
         f"Centres of the board's {board.rows} x {board.cols} spots as found in each posture; each frame shows columns "
-        f"{low[0]:.0f} to {high[0]:.0f} and rows {low[1]:.0f} to {high[1]:.0f} of the picture. Big spots, which show how "
-        "the board is turned, are marked. Spots that are cut or not lit are left out. The last posture is the "
+        f"{low[0]:.0f} to {high[0]:.0f} and rows {low[1]:.0f} to {high[1]:.0f} of the picture. The big spots are "
+        "marked. Spots that are cut or not lit are left out. The last posture is the "
         "flat one, which carries the world's frame. No filter.",
     )
 

@@ -31,7 +31,7 @@ def png_of(
     low: float,
     high: float,
     counts: np.ndarray | None = None,
-    compress_level: int = 6,
+    compress_level: int = 4,
     levels: int = 256,
 ) -> bytes:
     """A map as PNG, one pixel per value.

@@ -132,5 +132,5 @@ def _svg(canvas: Canvas) -> str:
 def _png(canvas: Canvas) -> bytes:
     """The panel for papers, on white."""
     png = io.BytesIO()
-    canvas.savefig(png, format="png", dpi=PAPER_DPI, facecolor="white", pil_kwargs={"compress_level": 3})
+    canvas.savefig(png, format="png", dpi=PAPER_DPI, facecolor="white", pil_kwargs={"compress_level": 1})
     return png.getvalue()

@@ -90,7 +90,7 @@ def map_panel(
     Parameters
     ----------
     values : (rows, cols) float
-        NaN stays empty.
+        NaN stays empty; margins without any value are cut off.
     unit : str
         With what it is, for the bar.
     counts : (rows, cols) bool, optional
@@ -104,6 +104,9 @@ def map_panel(
     spots : (n, 2) float, optional
         Column and row of points to mark.
     """
+    seen = _window(np.isfinite(values))
+    values, counts = values[seen], None if counts is None else counts[seen]
+    origin = origin[0] + step * seen[0].start, origin[1] + step * seen[1].start
     down, across = (step * n for n in values.shape)
     scale = min(_WIDE / across, 300.0 / down)
     width, height = scale * across, scale * down
@@ -137,6 +140,14 @@ def map_panel(
         sheet.items.append(_Line((x, x), (y - 2, y + 2), ACCENT, 0.8))
     _bar(sheet, right + _GAP, height, unit, palette, low, high)
     into.append(Panel(name, title, themed(_svg(sheet)), _png(sheet) if for_papers else None))
+
+
+def _window(seen: np.ndarray) -> tuple[slice, slice]:
+    """Rows and columns that hold everything seen; all where nothing is."""
+    rows, cols = np.flatnonzero(seen.any(axis=1)), np.flatnonzero(seen.any(axis=0))
+    if len(rows) == 0:
+        return slice(0, seen.shape[0]), slice(0, seen.shape[1])
+    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(cols[0]), int(cols[-1]) + 1)
 
 
 def _bar(sheet: _Sheet, left: float, height: float, unit: str, palette: str, low: float, high: float) -> None:
@@ -206,7 +217,7 @@ def _png(sheet: _Sheet) -> bytes:
         else:
             _draw_text(image, draw, item, scale)
     png = io.BytesIO()
-    image.save(png, format="png", dpi=(PAPER_DPI, PAPER_DPI), compress_level=3)
+    image.save(png, format="png", dpi=(PAPER_DPI, PAPER_DPI), compress_level=1)
     return png.getvalue()
 
 

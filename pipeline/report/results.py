@@ -20,8 +20,8 @@ from .surface_view import SurfaceView, view_of_cloud
 from .tables import Table, acceptance_table, claims_table, facts_table, is_as_expected
 
 CLAIMS_FILE = "claims.json"
-MOST_JSON = 1 << 26
-"""Bytes of a table that is read; a table of a thousand rows has less than one of them in a hundred."""
+MOST_JSON = 1 << 24
+"""Bytes of a table that is read: some ten thousand rows."""
 
 _TREATED = ("-deconvolved",)  # of a demo's clouds, the one that is shown instead of the raw one
 

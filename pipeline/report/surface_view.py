@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from greenough.instrument.errors import InputError
+
 from ..point_cloud import PointCloud
 from . import colours
 
@@ -19,7 +21,9 @@ HEIGHT_STEP_MM = 1e-4
 
 _CODES = 65534
 _LEVELS = 128  # between the ends of the colours of a layer that is no height
-_SAMPLE = 20_000  # points that x and y are fitted to
+_SAMPLE = 5_000  # points that x and y are fitted to
+_WIDEST_MM = 1e5
+_SPARSEST = 8  # pixels of a grid for each of its points
 _EXAGGERATED = 0.2  # share of the width that heights fill at first
 
 
@@ -89,7 +93,8 @@ def view_of_cloud(
 ) -> SurfaceView:
     """A cloud on the grid of its pixels, or binned to a regular grid of x and y where it does not know them.
 
-    ``layers`` are errors (n,) in µm of the cloud's points; their uncertainties come by themselves.
+    ``layers`` are errors (n,) in µm of the cloud's points; their uncertainties come by themselves. InputError if points
+    lie so far apart that nothing would be seen.
     """
     values = {key: np.asarray(each, dtype=np.float32) for key, each in (layers or {}).items()}
     sigmas = {"σ z by noise": cloud.noise_mm, "σ z by calibration": cloud.calibration_mm}
@@ -110,11 +115,17 @@ def view_of_cloud(
 
 def _places(cloud: PointCloud) -> tuple[np.ndarray, tuple[int, int], tuple[int, int], float]:
     """Row and column (n, 2) of each point in a grid, the grid's origin and shape, and a new grid's step in mm or 0."""
+    spread = float(np.ptp(cloud.xyz, axis=0).max())
+    if not spread <= _WIDEST_MM:
+        raise InputError(
+            f"the points lie {spread:.3g} mm apart, and at most {_WIDEST_MM:g} are shown: leave stray ones out"
+        )
     if cloud.pixels is not None:
-        first = cloud.pixels.min(axis=0)
-        rows, cols = (int(n) for n in cloud.pixels.max(axis=0) - first + 1)
-        if rows * cols <= 64 * max(len(cloud.xyz), 1 << 14):  # what a file claims must not fill the memory
-            return cloud.pixels - first, (int(first[0]), int(first[1])), (rows, cols), 0.0
+        pixels = cloud.pixels.astype(np.int64)
+        first = pixels.min(axis=0)
+        rows, cols = (int(n) for n in pixels.max(axis=0) - first + 1)
+        if rows * cols <= _SPARSEST * max(len(cloud.xyz), 1 << 16):  # what a file claims must not fill the memory
+            return pixels - first, (int(first[0]), int(first[1])), (rows, cols), 0.0
     low, high = cloud.xyz[:, :2].min(axis=0), cloud.xyz[:, :2].max(axis=0)
     area = float(np.prod(np.maximum(high - low, 1e-9)))
     step = max(np.sqrt(area / min(len(cloud.xyz), MOST_POINTS)), float((high - low).max()) / 4000, 1e-9)

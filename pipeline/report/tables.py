@@ -47,8 +47,8 @@ class Table:
     tall: bool = False
 
 
-def text_of(value: Any) -> str:
-    """A value as the page shows it: five digits, a true minus, thousands apart, – for nothing."""
+def text_of(value: Any, depth: int = 3) -> str:
+    """A value as the page shows it: five digits, a true minus, thousands apart, – for nothing, … below ``depth``."""
     if value is None or value != value:
         return "–"
     if isinstance(value, bool):
@@ -57,10 +57,12 @@ def text_of(value: Any) -> str:
         return f"{value:,}".replace(",", NARROW_SPACE).replace("-", MINUS)
     if isinstance(value, float):
         return f"{value:.5g}".replace("-", MINUS)
+    if isinstance(value, list | tuple | Mapping) and depth == 0:
+        return "…"
     if isinstance(value, list | tuple):
-        return ", ".join(text_of(item) for item in value) or "–"
+        return ", ".join(text_of(item, depth - 1) for item in value) or "–"
     if isinstance(value, Mapping):
-        return ", ".join(f"{name} {text_of(item)}" for name, item in value.items()) or "–"
+        return ", ".join(f"{name} {text_of(item, depth - 1)}" for name, item in value.items()) or "–"
     return str(value)
 
 
@@ -101,7 +103,7 @@ def _claim_row(claim: Mapping[str, Any]) -> Row:
             Cell(text_of(get("measured"))),
             Cell(unit_of(get("unit"))),
             Cell(text_of(get("limit"))),
-            Cell(text_of(get("predicted")), "" if not _number(spread) else f"± {spread:.2g}"),
+            Cell(text_of(get("predicted")), "" if not _number(spread) else f"± {spread:.2g}", below=True),
             Cell(text_of(get("holds"))),
             Cell("either" if either else text_of(get("expected_to_hold")), "" if expected else "(unexpected)"),
             Cell(text_of(get("n"))),

@@ -3,7 +3,7 @@
 (() => {
   const TERMS = 13; // of the polynomial that takes pixel and height to x and y
   const STILL_MS = 160; // without movement before all points are drawn again
-  const MOVING_POINTS = 3e5; // drawn at first while the view moves; the frame rate then decides
+  const FRAME_MS = 30; // that a frame may take while the view moves: fewer points are drawn where all take longer
   const SECTION_COLOUR = [0.9, 0.0, 0.49];
   const START = { yaw: -0.45, tilt: 0.8, zoom: 1, x: 0, y: 0 };
 
@@ -281,7 +281,7 @@
     const at = gl && programOf(gl);
     byId("no-webgl").hidden = Boolean(gl);
     const known = new Map();
-    let surface, layer, picture, section, camera = { ...START }, stride = 1, moved = 0, pending = 0, moving = 0;
+    let surface, layer, picture, section, camera = { ...START }, stride = 1, moved = -1e9, pending = 0, moving = 1, whole = 0;
 
     const exaggeration = () => 10 ** Number(stretch.value);
     const number = (value, digits) => value.toFixed(digits).replace("-", "−");
@@ -317,8 +317,8 @@
         gl.uniform1f(at.pixelsPerMm, Math.sqrt(Math.abs(a * d - b * c)));
         gl.uniform3fv(at.centre, surface.centre);
       }
-      moving = Math.max(1, Math.round(Math.sqrt((surface.rows * surface.cols) / MOVING_POINTS)));
       colour();
+      if (gl) moving = strideFor(timed());
     }
 
     function colour() {
@@ -417,27 +417,35 @@
     function redraw() {
       byId("times").textContent = `× ${exaggeration() < 10 ? exaggeration().toFixed(1) : Math.round(exaggeration())}`;
       if (!gl || pending || !surface) return;
-      pending = requestAnimationFrame((now) => {
+      pending = requestAnimationFrame(() => {
         pending = 0;
         const ratio = Math.min(2, window.devicePixelRatio || 1);
         const size = [Math.round(space.clientWidth * ratio), Math.round(space.clientHeight * ratio)];
         if (space.width !== size[0] || space.height !== size[1]) [space.width, space.height] = size;
-        const still = now - moved > STILL_MS;
+        const rest = Math.max(STILL_MS, Math.min(whole, 1000));
+        const still = performance.now() - moved >= rest;
         stride = still ? 1 : moving;
         paint(stride, false);
         space.dataset.stride = stride;
-        if (!still) setTimeout(redraw, STILL_MS + 20);
+        if (!still) setTimeout(redraw, rest + 20);
       });
     }
 
-    let frameBefore = 0;
+    // How long all points take to be drawn, ms: reading a pixel waits for them.
+    function timed() {
+      const before = performance.now();
+      paint(1, false);
+      gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
+      return (whole = performance.now() - before);
+    }
+
+    const strideFor = (took) => {
+      const coarsest = Math.max(1, Math.floor(Math.min(surface.rows, surface.cols) / 60));
+      return Math.min(coarsest, Math.max(1, Math.ceil(Math.sqrt(took / FRAME_MS))));
+    };
+
     function move() { // the view changes: fewer points as long as it does, so few that it stays fluid
-      const now = performance.now();
-      if (now - moved < STILL_MS) {
-        const took = now - frameBefore;
-        if (took > 60 && moving < 16) moving += 1;
-      }
-      frameBefore = moved = now;
+      moved = performance.now();
       redraw();
     }
 

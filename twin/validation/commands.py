@@ -8,6 +8,7 @@ import typer
 
 from greenough.instrument.progress import progress
 from greenough.instrument.verbs import JsonOption, SetOption, show
+from greenough.pipeline.report_command import ReportOption
 
 from .benchmarks.required import REQUIRED, Section
 
@@ -86,6 +87,7 @@ def accept(
     out: Annotated[Path, typer.Option("--out", metavar="FILE.json", help="Where the table goes.")] = Path(
         "acceptance.json"
     ),
+    report: ReportOption = None,
     settings: SetOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -101,6 +103,11 @@ def accept(
     total = captures(rig, overrides, calibrated=calibration is not None)
     with progress(total, "accepting", quiet=as_json) as advance:
         table = run(rig, overrides, calibration, out, advance)
+    if report is not None:
+        from greenough.pipeline.report.page import write_page
+        from greenough.pipeline.report.results import table_page
+
+        write_page(report, table_page(out))
     rows = [asdict(row) for row in table.rows]
     if not as_json:
         rows = [{name: value for name, value in row.items() if name != "criterion"} for row in rows]

@@ -192,7 +192,7 @@ def specimen_sections(specimens: Sequence[SpecimenMaps], for_papers: bool) -> It
         if maps.balls_mm is not None:
             figures.append(section_of_balls(maps, for_papers))
             tables.append(ball_table(maps.balls_mm))
-        yield Section(maps.title[:1].upper() + maps.title[1:], figures=figures, tables=tables)
+        yield Section(maps.title, figures=figures, tables=tables)
     states = [maps for maps in specimens if maps.name.startswith("diaphragm")]
     if states:
         yield Section("Diaphragm in its states", figures=[diaphragm_figure(states, for_papers)])
@@ -244,7 +244,7 @@ def section_of_balls(maps: SpecimenMaps, for_papers: bool) -> Figure:
         "Section through a row of balls",
         for_papers,
     ) as axes:
-        axes.plot(maps.xyz[row, :, 0], z[row], ".", color=FIRST, markersize=1.6, markeredgewidth=0)
+        axes.plot(maps.xyz[row, :, 0], z[row], "o", color=FIRST, markersize=1.4, markeredgewidth=0)
         room = 0.15 * (high - low)
         axes.set_ylim(low - room, high + room)
     error = 1e3 * (maps.balls_mm[:, 0] - maps.balls_mm[:, 1])

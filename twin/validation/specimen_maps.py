@@ -60,8 +60,10 @@ class SpecimenMaps:
 
     @property
     def title(self) -> str:
-        """Name and treatment."""
-        return self.name if self.treatment == RAW else f"{self.name}, {self.treatment.replace('_', ', ')}"
+        """Name and treatment, as a heading has them."""
+        name = "ball-grid array" if self.name == "bga" else self.name.replace("-", ", ")
+        words = name if self.treatment == RAW else f"{name}, {self.treatment.replace('_', ', ')}"
+        return words[:1].upper() + words[1:]
 
     @property
     def stem(self) -> str:

@@ -80,6 +80,7 @@ def test_examples_run_in_the_order_of_the_page_and_the_commands_with_them(folder
         "decode",
         "record",
         "replay",
+        "report",
         "optics",
         "study",
     }

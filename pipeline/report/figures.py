@@ -7,6 +7,7 @@ import io
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -35,7 +36,7 @@ _DARK = dict(
         strict=True,
     )
 )
-_STYLE = {
+_STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans", "font.size": 8.5, "axes.titlesize": 9, "axes.labelsize": 8.5, "legend.fontsize": 8,
     "xtick.labelsize": 8, "ytick.labelsize": 8, "text.parse_math": False, "svg.fonttype": "none",
     "svg.hashsalt": "greenough", "text.color": INK, "axes.labelcolor": INK, "axes.edgecolor": FAINT,

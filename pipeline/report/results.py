@@ -1,7 +1,7 @@
 """The page of a result file: a cloud, a calibration, a table of claims or of acceptance, or a demo's folder."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -199,7 +199,7 @@ CLAIMS_TEXT = (
 )
 
 
-def summary_of_claims(rows: int, judged: int, wrong: list[Mapping[str, Any]]) -> str:
+def summary_of_claims(rows: int, judged: int, wrong: Sequence[Mapping[str, Any]]) -> str:
     """One sentence on all claims."""
     if not wrong:
         return f"{rows} rows; {judged} have a limit, all of these behave as expected."

@@ -154,7 +154,8 @@ def payload(view: SurfaceView) -> dict[str, Any]:
     determinant = dx_du * dy_dv - dx_dv * dy_du
     across = np.array([dy_dv, -dy_du, -dx_dv, dx_du]) / (determinant or 1.0)
     width = max(np.hypot(x_terms[1], y_terms[1]), np.hypot(x_terms[2], y_terms[2]), 1e-9)
-    exaggeration = np.clip(_EXAGGERATED * 2 * width / np.subtract(*colours.ends(z, 99.5)[::-1]), 1, 100)
+    bottom, top = colours.ends(z, 99.5)
+    exaggeration = np.clip(_EXAGGERATED * 2 * width / (top - bottom), 1, 100)
     lowest, highest = colours.ends(z)
     return {
         "note": view.note + (f" Every {step}th pixel of each row and column." if step > 1 else ""),

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from chromium import Opened, chromium
 
+from greenough.instrument.contract import RigIdentity
 from greenough.pipeline.point_cloud import PointCloud, write_cloud
 from greenough.pipeline.report.page import Page, Section, write_page
 from greenough.pipeline.report.results import page_of
@@ -221,7 +222,7 @@ def test_rows_can_be_searched(browser, tmp_path):
         assert opened.tab.evaluate(shown) == 1
 
 
-def hostile_pages(folder: Path) -> list[Path]:
+def hostile_pages(folder: Path, calibration) -> list[Path]:
     """Results of which every word that can come from outside is markup."""
     cloud = folder / "a<img src=x onerror=window.canary=4>.ply"
     facts = {"sample": HOSTILE, HOSTILE.replace("=", "-"): "value", "filter": HOSTILE}
@@ -234,8 +235,11 @@ def hostile_pages(folder: Path) -> list[Path]:
     accepted = folder / "acceptance.json"
     rows = [{"name": HOSTILE, "criterion": HOSTILE, "unit": HOSTILE, "holds": False, "value": HOSTILE}]
     accepted.write_text(json.dumps({"rows": rows, "missing": {HOSTILE: HOSTILE}, "environment": environment}))
+    identity = RigIdentity(HOSTILE, HOSTILE, HOSTILE, HOSTILE)
+    calibrated = folder / "calibration.h5"
+    calibration(identity=identity, run=HOSTILE, figures={"method": HOSTILE, HOSTILE: HOSTILE}).save(calibrated)
     pages = []
-    for k, result in enumerate((cloud, claims, accepted)):
+    for k, result in enumerate((cloud, claims, accepted, calibrated)):
         page = page_of(result, None, for_papers=False)
         view = replace(analytic_surface(HOSTILE), note=f"{HOSTILE}</script>{HOSTILE}")
         pages.append(folder / f"{k}.html")
@@ -243,8 +247,8 @@ def hostile_pages(folder: Path) -> list[Path]:
     return pages
 
 
-def test_no_markup_from_data_ever_executes(browser, tmp_path):
-    for path in hostile_pages(tmp_path):
+def test_no_markup_from_data_ever_executes(browser, tmp_path, calibration):
+    for path in hostile_pages(tmp_path, calibration):
         with Opened(browser, path) as opened:
             opened.tab.select_option("#surface", index=0)
             opened.settle()

@@ -69,12 +69,18 @@ def test_leaves_its_files_and_nothing_else(finished):
     shiny = {"coin", "bga"} if Calibration.load(finished[0] / "calibration.h5").point_spread else set()
     specimens |= {f"{name}-deconvolved{end}.ply" for name in shiny for end in ("", "-filtered")}
     specimens |= {f"{name}-filtered.ply" for name in set(SPECIMENS) - shiny}
-    expected = {"claims.json", "calibration.h5", "calibration-paper.h5", "report.html"} | specimens
+    expected = {"claims.json", "calibration.h5", "calibration-paper.h5", "report.html", "figures"} | specimens
     assert {path.name for path in finished[0].iterdir()} == expected
     assert Calibration.load(finished[0] / "calibration.h5").camera.shape == (240, 320)
-    assert (finished[0] / "report.html").read_text(encoding="utf-8").count('src="data:image/png') == 1 + len(
-        SPECIMENS
-    ) + len(shiny)
+    page = (finished[0] / "report.html").read_text(encoding="utf-8")
+    figures = {path.stem for path in (finished[0] / "figures").iterdir()}
+    assert page.count('src="data:image/svg+xml') == len(figures)
+    shown = {*SPECIMENS, *(f"{name}-deconvolved" for name in shiny)}
+    assert {f"{name}-{what}" for name in shown for what in ("height", "error", "sigma-0", "sigma-1")} <= figures
+    of_the_paper = {"patterns", "postures", "reprojection", "phase-height", "plane-filtered", "plane-profile"}
+    of_the_paper |= {"plane-histogram", "board-distances", "bga-section", "diaphragm-row", "diaphragm-column"}
+    assert of_the_paper <= figures
+    assert page.count('class="surface"') == len(SPECIMENS)
 
 
 def test_every_name_that_scripts_rely_on_has_its_row_and_every_row_its_fields(document):

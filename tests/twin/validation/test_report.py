@@ -1,63 +1,96 @@
 """Claims about the report: complete, self-contained, safe, and its maps agree with the errors that were made."""
 
 import base64
+import io
 import re
+from types import SimpleNamespace
+from urllib.parse import unquote
 
-import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
 from greenough.pipeline.compare import ErrorRow
 from greenough.pipeline.reconstruct import PointMap
+from greenough.pipeline.report.colours import VOID
 from greenough.twin import Truth
+from greenough.twin.validation import report
 from greenough.twin.validation.noise import PlaneNoise
-from greenough.twin.validation.report import SpecimenMaps, specimen_maps, write_report
+from greenough.twin.validation.pitch import MeasuredBoard
+from greenough.twin.validation.report import write_report
+from greenough.twin.validation.specimen_maps import SpecimenMaps, specimen_maps
 from greenough.twin.validation.specimens import Measured
 
 SHAPE = (48, 64)
 
 
-def maps(name: str = "coin", **changes: np.ndarray) -> SpecimenMaps:
+def maps(name: str = "coin", **changes: object) -> SpecimenMaps:
     generator = np.random.default_rng(3)
+    v, u = np.mgrid[: SHAPE[0], : SHAPE[1]]
     values = {
+        "treatment": "raw",
+        "filter": "none",
+        "origin": (100, 200),
         "background": generator.uniform(0, 200, SHAPE),
-        "height_mm": generator.normal(0, 0.1, SHAPE),
+        "xyz": np.stack([0.1 * u, -0.1 * v, generator.normal(0, 0.1, SHAPE)], axis=-1),
         "error_um": generator.normal(0, 2, SHAPE),
         "smooth": generator.random(SHAPE) < 0.8,
+        "sigma_noise_um": np.full(SHAPE, 1.5),
+        "sigma_calibration_um": np.full((12, 16), 0.3),
     }
     return SpecimenMaps(name, **(values | changes))
 
 
 @pytest.fixture
-def page(analytic, tmp_path):
-    """Writes a report and returns its text."""
+def page(analytic, tmp_path, monkeypatch):
+    """Writes a report and returns its text; what a calibration says of itself is tested with the pipeline."""
+    monkeypatch.setattr(report, "calibration_part", lambda setup, for_papers: [])
 
-    def written(claims=None, specimens=None, facts=None) -> str:
+    def written(claims=None, specimens=None, facts=None, pictures=None) -> str:
         setup = analytic()
         raw, second, two, filtered = np.random.default_rng(4).normal(0, 2e-3, (4, *SHAPE))
         noise = PlaneNoise(raw, second, two, filtered, 2e-3, 1e-3, xy=np.zeros((*SHAPE, 2)))
+        centres = setup.bench.printed_centres
+        centres = np.column_stack([centres[:, :2], np.zeros(len(centres))])
+        spots = SimpleNamespace(centres_px=np.full((99, 2), 20.0), seen=np.ones(99, bool))
+        board = MeasuredBoard("board", "pitch", np.full(SHAPE, 90.0), spots, [centres], [1e-4])
         rows = [setup.claim("depth", "plane", 3.0, "um", 1234, "95 %", limit=4.0, paper=4.0)]
         path = tmp_path / "report.html"
         write_report(
-            path, rows if claims is None else claims(setup), setup, noise,
-            [maps()] if specimens is None else specimens, facts or {},
+            path, rows if claims is None else claims(setup), setup, noise, board,
+            [maps()] if specimens is None else specimens, facts or {}, pictures,
         )  # fmt: skip
-        assert list(tmp_path.iterdir()) == [path]
+        assert set(tmp_path.iterdir()) == {path} | ({pictures} if pictures else set())
         return path.read_text(encoding="utf-8")
 
     return written
 
 
+def pictures_of(text: str) -> dict[str, str]:
+    """The SVG of each panel by what it shows."""
+    found = re.findall(r'<img src="data:image/svg\+xml,([^"]+)" alt="([^"]*)">', text)
+    return {alt: unquote(svg.replace("&#39;", "'")) for svg, alt in found}
+
+
 def test_page_stands_alone(page):
     text = page()
-    assert not re.findall(r"(?:src|href)=\"(?!data:image/png;base64,)", text)
-    assert "<script" not in text
-    pictures = re.findall(r'src="data:image/png;base64,([^"]+)"', text)
-    assert len(pictures) == 2  # plane and coin
-    for picture in pictures:
-        png = cv2.imdecode(np.frombuffer(base64.b64decode(picture), np.uint8), cv2.IMREAD_COLOR)
-        assert png is not None
-        assert min(png.shape[:2]) > 400
+    assert not re.findall(r"(?:src|href)=\"(?!data:image/svg\+xml,|#)", text)
+    pictures = pictures_of(text)
+    assert len(re.findall("<img ", text)) == 4 + 4 + 6  # plane, board and coin
+    for alt in ("departure from the best plane, filtered", "vertical error", "measured height", "σ z by noise"):
+        inside = re.findall(r"href='data:image/png;base64,([^']+)'", pictures[alt])
+        assert len(inside) == 2, "the map and its bar"
+        png = np.asarray(Image.open(io.BytesIO(base64.b64decode(inside[0]))))
+        assert png.shape == SHAPE
+        assert (png != VOID).all()
+    assert "Histogram of the errors" in pictures
+
+
+def test_figures_for_papers_lie_in_their_folder(page, tmp_path):
+    page(pictures=tmp_path / "figures")
+    names = {path.name for path in (tmp_path / "figures").iterdir()}
+    assert {"plane-filtered.png", "board-distances.png", "coin-error.png", "coin-sigma-1.png"} <= names
+    assert len(names) == 14
 
 
 def test_only_rows_that_are_not_as_expected_are_marked(page):
@@ -73,7 +106,7 @@ def test_only_rows_that_are_not_as_expected_are_marked(page):
     marked = re.findall(r'<tr class="unexpected">\s*<td>(\w+)', text)
     assert marked == ["broken", "lucky"]
     assert "broken (plane), lucky (plane)" in re.sub(r"\s+", " ", text)
-    assert all(f"<td>{name}<br>" in text for name in ("held", "doomed", "reported", "open"))
+    assert all(f"<td>{name}</td>" in text for name in ("held", "doomed", "reported", "open"))
     assert re.findall(r"<td>either</td>", text) == ["<td>either</td>"]
     assert "± 0.1" in text
 
@@ -84,8 +117,9 @@ def test_a_page_without_surprises_says_so(page):
 
 def test_words_from_outside_are_text_and_no_markup(page):
     text = page(facts={"settings": ["<script>alert(1)</script>"]})
-    assert "<script" not in text
-    assert "&lt;script&gt;" in text
+    assert "<script>alert" not in text
+    assert len(re.findall("<script", text)) == 3  # the page's own, the palettes and the coin
+    assert "&lt;script&gt;alert(1)&lt;/script&gt;" in text
 
 
 def test_header_names_instrument_and_versions(page):
@@ -96,11 +130,31 @@ def test_header_names_instrument_and_versions(page):
 
 def test_a_specimen_of_which_nothing_was_measured_is_shown_empty(page):
     nothing = np.full(SHAPE, np.nan)
-    text = page(specimens=[maps(height_mm=nothing, error_um=nothing), maps("bga", smooth=np.zeros(SHAPE, bool))])
-    assert len(re.findall('src="data:', text)) == 3
+    empty = maps(xyz=np.full((*SHAPE, 3), np.nan), error_um=nothing, sigma_noise_um=nothing)
+    text = page(specimens=[empty, maps("bga", smooth=np.zeros(SHAPE, bool))])
+    assert len(re.findall("<img ", text)) == 4 + 4 + 6 + 6
+    assert len(re.findall('class="surface"', text)) == 2
 
 
-def test_the_error_map_is_the_vertical_error_on_a_slope_where_lit_and_seen():
+def test_balls_have_a_section_and_a_table_of_measured_and_true_heights(page):
+    balls = np.array([[0.4012, 0.4], [np.nan, 0.41]])
+    text = page(specimens=[maps("bga", balls_mm=balls)])
+    assert "Section through a row of balls" in pictures_of(text)
+    row = re.findall(r'<td>(\d+)</td>((?:\s*<td class="number">[^<]*</td>)+)', text)
+    cells = {ball: re.findall(">([^<]*)<", rest)[::2] for ball, rest in row}
+    assert cells == {"0": ["401.2", "400", "1.2"], "1": ["–", "410", "–"]}
+
+
+def test_the_diaphragms_states_share_the_papers_row_and_column(page):
+    states = [maps(f"diaphragm-{state}") for state in ("concave", "equilibrated", "raised")]
+    pictures = pictures_of(page(specimens=states))
+    row, column = pictures["Heights along image row 147"], pictures["Heights along image column 263"]
+    for state in ("concave", "equilibrated", "raised"):
+        assert state in row
+        assert state in column
+
+
+def test_the_error_map_is_the_vertical_error_on_a_slope_where_lit_and_seen(analytic):
     """Point and truth lie on one leaning ray; the error is counted along z to the surface, not to the true point."""
     slope, ray = 0.5, np.array([0.1, 0.0, 1.0])
     x, y = np.meshgrid(np.linspace(-1, 1, SHAPE[1]), np.linspace(-1, 1, SHAPE[0]))
@@ -116,6 +170,7 @@ def test_the_error_map_is_the_vertical_error_on_a_slope_where_lit_and_seen():
     truth = Truth(xyz + np.array([0, 0, 0.3]), normal, x, y, lit, world_from_twin)
     background = np.full(SHAPE, 100.0)
     row = ErrorRow("vertical", "smooth", 0, 0.0, 0.0, 0.0, 0.0)
-    result = specimen_maps(Measured("s", "raw", background, PointMap(points), 0 * background, truth, lit, row, 1.0))
+    measured = Measured("s", "raw", background, PointMap(points), 0 * background, truth, lit, row, 1.0)
+    result = specimen_maps(analytic(), measured)
     np.testing.assert_allclose(result.error_um[5:], 1e3 * error[5:], atol=1e-4)
     assert np.isnan(result.error_um[:5]).all()

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from chromium import Opened, chromium
 
+from chromium import Opened, chromium
 from greenough.instrument.contract import RigIdentity
 from greenough.pipeline.point_cloud import PointCloud, write_cloud
 from greenough.pipeline.report.page import Page, Section, write_page

@@ -90,6 +90,7 @@ def command(monkeypatch, tmp_path, capsys):
         out = tmp_path / "new" / "table.json"
         settings = [word for setting in SMALL for word in ("--set", setting)]
         arguments = ["accept", "twin", "--calibration", "any.h5", "--out", str(out), "--json", *settings]
+        arguments += ["--report", str(tmp_path / "table.html")]
         code = run(arguments, entry_points(group=GROUP))
         return code, json.loads(capsys.readouterr().out), json.loads(out.read_text(encoding="utf-8"))
 
@@ -102,6 +103,13 @@ def test_the_command_ends_with_0_if_every_row_holds_and_writes_what_it_prints(co
     assert printed["rows"] == written["rows"]
     assert set(printed["rows"][0]) == {field.name for field in fields(Row)}
     assert written["environment"]["rig"] == "twin"
+
+
+def test_the_command_writes_a_page_of_the_table_where_asked(command, tmp_path):
+    command(ball=group(0.5, 1.5))
+    page = (tmp_path / "table.html").read_text(encoding="utf-8")
+    assert page.count('<tr class="unexpected">') == 1
+    assert "2 rows; 1 do not hold" in page
 
 
 @pytest.mark.parametrize(

@@ -3,14 +3,18 @@
 import sys
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from .verbs import JsonOption, RigArgument, RunOption, SetOption, show
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     import numpy as np
+
+    from .image_rig import ImageRig
 
 app = typer.Typer()
 
@@ -30,10 +34,13 @@ def check(
     """Connect to a rig, and say what is wrong and what to do.
 
     It reports what answers, takes a few frames and judges them, a row for each check. The projector is lit meanwhile;
-    nothing moves without --move. A recording is only described. The exit code is 1 if a row does not hold.
+    nothing moves without --move. Of images it says what they hold, a row for each posture and plane, and what is wrong
+    with them. A recording is only described. The exit code is 1 if a row does not hold.
     """
     from .errors import InputError
+    from .image_rig import ImageRig
     from .opening import open_rig
+    from .progress import progress
     from .rig_check import check_rig, describe_as_it_stands
 
     with open_rig(rig, settings or ()) as opened:
@@ -45,6 +52,10 @@ def check(
             result |= {"devices": [asdict(device) for device in devices], "checks": [asdict(row) for row in checks]}
         elif move or as_it_lies:
             raise InputError(f"nothing of {rig} can be moved or lit: leave --move and --as-it-lies out")
+        elif isinstance(opened, ImageRig):
+            with progress(len(opened.places), "looking at images", quiet=as_json) as advance:
+                checks = tuple(row for look in _image_checks() for row in look(opened, advance))
+            result |= {"checks": [asdict(row) for row in checks]}
     show(result, as_json)
     if any(row.holds is False for row in checks):
         raise typer.Exit(1)
@@ -160,6 +171,13 @@ def replay(
             )
             advance(1)
         show({**asdict(rig.identity), "captures": rows}, as_json)
+
+
+def _image_checks() -> "list[Callable[[ImageRig, Callable[[float], None]], list[Any]]]":
+    """What tells what images hold: of packages that know fringes and boards, found as the verbs are."""
+    from importlib.metadata import entry_points
+
+    return [entry.load() for entry in entry_points(group="greenough.image_checks")]
 
 
 def _load_patterns(path: Path) -> "np.ndarray":

@@ -146,20 +146,30 @@ class SpotBoard:
 
 @dataclass(frozen=True)
 class Procedure:
-    """How this rig is calibrated and measured: the paper's Table 1 and section 4, as the rig file states them."""
+    """How this rig is calibrated and measured: the paper's Table 1 and section 4, as the rig file states them.
+
+    The n-th of the N frames of a period p is A + B cos(2π x / p + start + sign 2π n / N) on the projector's column x.
+    """
 
     periods_px: tuple[float, ...]
     steps: tuple[int, ...]
     postures: int
     planes: int
-    plane_step_mm: float
+    plane_step_mm: float  # between neighbours; their median where heights_mm is given
     exposure_share: float  # of full scale, for the brightest part that counts
     brackets: tuple[float, ...] = field(default=(1.0,))  # exposure ratios for shiny parts, the longest first
+    field_px: float | None = None  # lit columns, where no period spans them
+    start_rad: float = 0.0
+    sign: int = 1
+    heights_mm: tuple[float, ...] = ()  # of the planes, rising, where they are not evenly spaced about 0
+    fringes_on_postures: bool = True  # without, the board's postures are shown in white light alone
+    posture_names: tuple[str, ...] = ()  # of the tilted ones, in sentences, where they are not called by their numbers
 
     @property
     def exposures(self) -> int:
         """Of a whole calibration: every posture and plane with every pattern."""
-        return (self.postures + self.planes) * sum(self.steps)
+        patterns = sum(self.steps)
+        return self.postures * (patterns if self.fringes_on_postures else 1) + self.planes * patterns
 
 
 @dataclass(frozen=True)
@@ -200,10 +210,14 @@ class Camera(Protocol):
     def black_level_dn(self) -> float: ...
 
     @property
-    def noise(self) -> CameraNoise: ...
+    def noise(self) -> CameraNoise | None:
+        """None where nobody states it: the frames themselves then have to show it."""
+        ...
 
     @property
-    def exposure_limits_us(self) -> tuple[float, float]: ...
+    def exposure_limits_us(self) -> tuple[float, float]:
+        """Both are the same where frames are as they were once taken."""
+        ...
 
     @property
     def exposure_us(self) -> float: ...

@@ -27,7 +27,7 @@ class RigDescription:
     camera_shape: tuple[int, int]
     full_scale_dn: float
     black_level_dn: float
-    noise: CameraNoise
+    noise: CameraNoise | None
     exposure_limits_us: tuple[float, float]
     exposure_us: float
     projector_shape: tuple[int, int]

@@ -8,11 +8,15 @@ from typing import cast
 from .contract import Rig
 from .errors import InputError
 
+IMAGES = "images"
+"""In place of a driver: what the rig saw lies in files, which need neither a stage nor a camera's data sheet, so that
+their rig file is another."""
+
 
 def open_rig(
     name_or_path: str | Path, overrides: Sequence[str] = (), run: str = "default", exposures_done: int = 0
 ) -> Rig:
-    """Open the rig that a rig file describes, or replay a recording.
+    """Open the rig that a rig file describes, be it of devices or of images, or replay a recording.
 
     Parameters
     ----------
@@ -37,9 +41,15 @@ def open_rig(
             raise InputError(f"recording {name_or_path} cannot be changed by --set {overrides[0]}; leave --set out")
         return open_recording(name_or_path, exposures_done)
 
-    from .rigfile import load_rig_file
+    from .rigfile import RigFile, read_rig, validated_rig
 
-    rig_file = load_rig_file(name_or_path, overrides)
+    where, document = read_rig(name_or_path, overrides)
+    if document.get("driver") == IMAGES:
+        from .image_rig import ImageRig
+        from .image_rig_settings import ImageRigFile
+
+        return ImageRig(validated_rig(where, document, ImageRigFile), Path(name_or_path).parent, run, exposures_done)
+    rig_file = validated_rig(where, document, RigFile)
     module_name, _, function_name = rig_file.driver.partition(":")
     try:
         module = importlib.import_module(module_name)

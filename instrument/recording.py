@@ -200,7 +200,7 @@ class _RecordedCamera:
         return self._camera.black_level_dn
 
     @property
-    def noise(self) -> CameraNoise:
+    def noise(self) -> CameraNoise | None:
         return self._camera.noise
 
     @property

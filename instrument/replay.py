@@ -224,7 +224,7 @@ class _ReplayCamera:
         self.shape: tuple[int, int] = description.camera_shape
         self.full_scale_dn: float = description.full_scale_dn
         self.black_level_dn: float = description.black_level_dn
-        self.noise: CameraNoise = description.noise
+        self.noise: CameraNoise | None = description.noise
         self.exposure_limits_us = description.exposure_limits_us
         self.readings: _Answers[float, float] = _Answers()
         self.target_us = self._reported_us = description.exposure_us

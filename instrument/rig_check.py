@@ -184,9 +184,11 @@ def check_frames(rig: Rig) -> tuple[Check, ...]:
 
 def _aim_dn(rig: Rig) -> float:
     """Grey value above black that the exposure aims at for the bright part."""
-    camera = rig.camera
-    full_well_dn = camera.noise.full_well_e / camera.noise.electrons_per_dn
-    return rig.procedure.exposure_share * min(camera.full_scale_dn - camera.black_level_dn, full_well_dn)
+    camera, noise = rig.camera, rig.camera.noise
+    full_scale = camera.full_scale_dn - camera.black_level_dn
+    if noise is not None:
+        full_scale = min(full_scale, noise.full_well_e / noise.electrons_per_dn)
+    return rig.procedure.exposure_share * full_scale
 
 
 def _set_exposure(rig: Rig, capture: Callable[[np.ndarray], Frames | DeviceError]) -> Frames | DeviceError:

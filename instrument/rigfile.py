@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from copy import deepcopy
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
@@ -22,6 +22,7 @@ from .toml_file import names_in, read_toml
 
 _RIGS = resources.files("greenough.instrument") / "rigs"
 _SECTION = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+_Model = TypeVar("_Model", bound=BaseModel)
 _Name = Annotated[str, Field(min_length=1, max_length=200)]
 _Pixels = Annotated[int, Field(ge=4, le=20_000)]
 _Index = Annotated[int, Field(ge=0, le=199)]
@@ -211,12 +212,16 @@ class RigFile(BaseModel):
     @property
     def settings_sha256(self) -> str:
         """Digest of every setting, overrides included; the order and layout of the file do not count."""
-        settings = json.dumps(self.model_dump(mode="json"), sort_keys=True)
-        return hashlib.sha256(settings.encode()).hexdigest()
+        return settings_sha256(self)
 
     def identity(self, camera_serial: str, projector_serial: str) -> RigIdentity:
         """The identity of the rig whose devices reported these serial numbers."""
         return RigIdentity(self.name, camera_serial, projector_serial, self.settings_sha256)
+
+
+def settings_sha256(settings: BaseModel) -> str:
+    """Digest of every setting; their order does not count."""
+    return hashlib.sha256(json.dumps(settings.model_dump(mode="json"), sort_keys=True).encode()).hexdigest()
 
 
 def builtin_rigs() -> tuple[str, ...]:
@@ -240,16 +245,38 @@ def load_rig_file(name_or_path: str | Path, overrides: Sequence[str] = ()) -> Ri
         For an unknown rig, a file that cannot be read, malformed TOML (with its line), an override of an unknown
         field (with the nearest known one), and wrong fields (all of them, each with what is allowed).
     """
+    return validated_rig(*read_rig(name_or_path, overrides), RigFile)
+
+
+def read_rig(name_or_path: str | Path, overrides: Sequence[str] = ()) -> tuple[str, dict[str, Any]]:
+    """What a rig file says, with the overrides, as yet unjudged; parameters are those of `load_rig_file`.
+
+    Returns
+    -------
+    where : str
+        What to call the file in a sentence.
+    document : dict
+
+    Raises
+    ------
+    InputError
+        For an unknown rig, a file that cannot be read, malformed TOML, or an override of an unknown field.
+    """
     where, document = read_toml(name_or_path, "rig", _RIGS)
     schema = RigFile.model_json_schema() if overrides else {}
     for override in overrides:
         _apply(override, document, schema)
         where += f" with --set {override}"
+    return where, document
+
+
+def validated_rig(where: str, document: dict[str, Any], model: type[_Model]) -> _Model:
+    """What `read_rig` read, judged by a model; raises InputError with all wrong fields."""
     try:
         # JSON knows no tuples, so strictness refuses text for a number without refusing a list for a tuple.
-        return RigFile.model_validate_json(json.dumps(document, default=str), strict=True)
+        return model.model_validate_json(json.dumps(document, default=str), strict=True)
     except ValidationError as error:
-        raise InputError(describe_validation_error(error, where, RigFile)) from None
+        raise InputError(describe_validation_error(error, where, model)) from None
 
 
 def describe_validation_error(error: ValidationError, where: str, model: type[BaseModel] | None = None) -> str:

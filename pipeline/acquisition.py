@@ -11,7 +11,7 @@ import numpy as np
 from greenough.instrument.contract import BLANK, CameraNoise, Frames, Placement, Procedure, Rig
 from greenough.instrument.errors import InputError
 
-from .bundle_data import SpotPhases, check_spot_phases, measure_spot_phases
+from .bundle_data import SpotPhases, check_spot_phases, measure_spot_phases, no_spot_phases
 from .bundle_method import calibrate_by_bundle
 from .calibration import Calibration, Method
 from .calibration_data import CalibrationData
@@ -129,6 +129,12 @@ def calibrate_by_methods(
     with_planes: list[Method] = [method for method in outs if METHODS[method].needs_planes]
     without_planes: list[Method] = [method for method in outs if not METHODS[method].needs_planes]
     heights = plane_heights(rig) if with_planes else np.empty(0)
+    for method in outs:
+        if METHODS[method].needs_spot_phases and not rig.procedure.fringes_on_postures:
+            raise InputError(
+                f"the method {method} needs fringes on the board's postures, and rig {rig.identity.name} shows them in "
+                "white light: project the fringes there as well, or calibrate with --method paper"
+            )
     for out in outs.values():
         if Path(out).is_dir():
             raise InputError(f"cannot write {out}: it is a folder; name a file")
@@ -302,7 +308,7 @@ def capture_part(
 
 
 def plane_heights(rig: Rig) -> np.ndarray:
-    """Stage positions of the calibration planes in mm, from the lowest up, centred on 0.
+    """Stage positions of the calibration planes in mm, from the lowest up: as listed, or evenly spaced about 0.
 
     Raises
     ------
@@ -315,7 +321,10 @@ def plane_heights(rig: Rig) -> np.ndarray:
             f"a calibration with planes needs at least {MIN_PLANES} of them, and the rig file states "
             f"{procedure.planes}: raise procedure.planes, or calibrate by a method without planes"
         )
-    heights = (np.arange(procedure.planes) - (procedure.planes - 1) / 2) * procedure.plane_step_mm
+    if procedure.heights_mm:
+        heights = np.array(procedure.heights_mm)
+    else:
+        heights = (np.arange(procedure.planes) - (procedure.planes - 1) / 2) * procedure.plane_step_mm
     low, high = rig.stage.limits_mm
     if heights[0] < low or heights[-1] > high:
         raise InputError(
@@ -338,7 +347,9 @@ def plane_phase(phase_map: PhaseMap) -> np.ndarray:
 
 
 def _postures(rig: Rig) -> list[tuple[str, Placement]]:
-    tilted = [(f"{k:02d}", Placement("board", posture=k)) for k in range(rig.procedure.postures - 1)]
+    count = rig.procedure.postures - 1
+    names = rig.procedure.posture_names or [f"{k:02d}" for k in range(count)]
+    tilted = [(names[k], Placement("board", posture=k)) for k in range(count)]
     return [*tilted, (FLAT, Placement("board"))]
 
 
@@ -357,7 +368,7 @@ class _Acquirer:
         self._rig = rig
         self._unfinished = unfinished
         self._advance = advance
-        self._fringes = FringeSet(rig.procedure.periods_px, rig.procedure.steps)
+        self._fringes = FringeSet.of(rig.procedure)
         self._patterns = self._fringes.patterns(*rig.projector.shape)
         self._exposure_us: float | None = None
         self._exposed = False  # for the printed side
@@ -372,15 +383,16 @@ class _Acquirer:
             self._rig.stage.move_to_mm(0.0)
             if not self._exposed:
                 auto_exposure(self._rig)
-            _, phase_map = self._capture()
+            phase_map = self._capture()[1] if self._rig.procedure.fringes_on_postures else None
             try:
-                spots = detect_spots(phase_map.background, self._rig.board)
+                spots = detect_spots(self._white() if phase_map is None else phase_map.background, self._rig.board)
                 if spots.seen.sum() < MIN_SPOTS:
                     raise BoardNotFound(f"only {spots.seen.sum()} of its spots can be measured")
             except BoardNotFound as error:
                 _log.warning("posture %s: the board was not found (%s)", name, error)
                 return {}
-            return asdict(spots) | asdict(measure_spot_phases(phase_map, spots))
+            phases = no_spot_phases(spots) if phase_map is None else measure_spot_phases(phase_map, spots)
+            return asdict(spots) | asdict(phases)
 
         arrays = self._once(f"posture-{name}", take)
         self._exposed = bool(arrays)
@@ -419,6 +431,12 @@ class _Acquirer:
         self._exposure_us, self.exposures = step.exposure_us, step.exposures
         self._advance(1)
         return dict(step.arrays)
+
+    def _white(self) -> np.ndarray:
+        """Grey values (rows, cols) above black, in white light."""
+        frames = self._rig.capture(np.full_like(self._patterns[:1], 255))
+        self.exposures = int(frames.serials[-1]) + 1
+        return frames.stack[0] - np.float32(frames.black_level_dn)
 
     def _capture(self) -> tuple[Frames, PhaseMap]:
         frames = self._rig.capture(self._patterns)

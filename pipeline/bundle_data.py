@@ -95,6 +95,12 @@ def measure_spot_phases(phase_map: PhaseMap, spots: Spots) -> SpotPhases:
     return SpotPhases(phase, gradient, sigma)
 
 
+def no_spot_phases(spots: Spots) -> SpotPhases:
+    """Where nothing was measured: spots in white light."""
+    n = len(spots.seen)
+    return SpotPhases(np.full(n, np.nan), np.full((n, 2), np.nan), np.full(n, np.nan))
+
+
 def check_spot_phases(phases: Sequence[SpotPhases]) -> None:
     """Raise InputError unless enough phases were measured at spots to start the projector's model from."""
     count = sum(int(np.isfinite(each.sigma_rad).sum()) for each in phases)

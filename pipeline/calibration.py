@@ -149,7 +149,7 @@ class Calibration:
     @property
     def fringes(self) -> FringeSet:
         """The fringes that the phases belong to."""
-        return FringeSet(self.procedure.periods_px, self.procedure.steps)
+        return FringeSet.of(self.procedure)
 
     def uncertainty_after(self, exposures: int) -> CalibrationUncertainty:
         """What calibration and drifts may do to points of a run that has taken so many exposures.

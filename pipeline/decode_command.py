@@ -13,7 +13,8 @@ from greenough.instrument.verbs import JsonOption, show
 from .fringes import PAPER, FringeSet
 
 if TYPE_CHECKING:
-    from .frame_files import FrameFiles
+    from greenough.instrument.frame_files import FrameFiles
+
     from .order_search import ColumnWindow
 
 app = typer.Typer()
@@ -78,9 +79,9 @@ def decode(
     import numpy as np
 
     from greenough.instrument import hdf5
+    from greenough.instrument.frame_files import read_frames
 
     from .decode import decode as decode_stack
-    from .frame_files import read_frames
 
     given = _numbers(periods, "--periods", float)
     given_steps = _numbers(steps, "--steps", int)
@@ -135,7 +136,7 @@ def _order(
     gray_frames: str | None,
 ) -> tuple[list[int], str]:
     """Numbers of the frames that show fringes, in the order of ``periods``, and why these."""
-    from .frame_order import guess_order, selected
+    from greenough.instrument.frame_order import guess_order, selected
 
     count = len(files.stack)
     if fringe_frames is not None:
@@ -159,7 +160,8 @@ def _gray(
 ) -> "ColumnWindow | None":
     """Where the Gray code says that pixels are; without inverse frames, grey between black and white is the fringes'
     mean."""
-    from .frame_order import selected
+    from greenough.instrument.frame_order import selected
+
     from .gray_code import locate
 
     if gray_frames is None:

@@ -45,7 +45,8 @@ def auto_exposure(rig: Rig) -> float:
 
     A white pattern is projected, as bright as any fringe; the ``BRIGHTEST_PERCENTILE`` of the whole image above the
     black level is brought to that share of the full scale: the range of grey values above black or the full well,
-    whichever is less. The longest exposure is kept if the part stays darker than that.
+    whichever is less. The longest exposure is kept if the part stays darker than that, and the only one where the
+    camera has no other.
 
     Returns
     -------
@@ -59,9 +60,11 @@ def auto_exposure(rig: Rig) -> float:
     """
     camera = rig.camera
     shortest, longest = camera.exposure_limits_us
-    full_scale = min(
-        camera.full_scale_dn - camera.black_level_dn, camera.noise.full_well_e / camera.noise.electrons_per_dn
-    )
+    if shortest == longest:
+        return camera.exposure_us  # there is nothing to set; decoding leaves out what is saturated or dark
+    full_scale = camera.full_scale_dn - camera.black_level_dn
+    if camera.noise is not None:
+        full_scale = min(full_scale, camera.noise.full_well_e / camera.noise.electrons_per_dn)
     aim = rig.procedure.exposure_share * full_scale
     white = np.full((1, *rig.projector.shape), 255, dtype=np.uint8)
 
@@ -111,7 +114,7 @@ def capture_bracketed(rig: Rig, patterns: np.ndarray, ratios: Sequence[float]) -
     InputError
         If an exposure lies outside the camera's limits; nothing has been captured then.
     """
-    camera = rig.camera
+    camera, noise = rig.camera, rig.camera.noise
     present = camera.exposure_us
     shortest, longest = camera.exposure_limits_us
     for ratio in ratios:
@@ -120,6 +123,8 @@ def capture_bracketed(rig: Rig, patterns: np.ndarray, ratios: Sequence[float]) -
                 f"bracketing: {ratio:g} times the exposure of {present:g} µs lies outside the camera's limits of "
                 f"{shortest:g} to {longest:g} µs; choose another ratio in procedure.brackets"
             )
+    if noise is None:
+        raise InputError("bracketing: exposures are weighted by the camera's data sheet, which this rig does not state")
     sequences = []
     try:
         for ratio in ratios:
@@ -127,7 +132,7 @@ def capture_bracketed(rig: Rig, patterns: np.ndarray, ratios: Sequence[float]) -
             sequences.append(rig.capture(patterns))
     finally:
         camera.exposure_us = present
-    return merge(sequences, camera.noise)
+    return merge(sequences, noise)
 
 
 def merge(sequences: Sequence[Frames], noise: CameraNoise) -> Bracketed:

@@ -10,6 +10,8 @@ from greenough.instrument.errors import InputError
 if TYPE_CHECKING:
     import numpy as np
 
+    from greenough.instrument.contract import Procedure
+
 
 @dataclass(frozen=True)
 class FringeSet:
@@ -70,6 +72,11 @@ class FringeSet:
         from .notebook import fringe_set_html
 
         return fringe_set_html(self)
+
+    @classmethod
+    def of(cls, procedure: "Procedure") -> "FringeSet":
+        """The fringes that a rig is calibrated and measured with."""
+        return cls(procedure.periods_px, procedure.steps, procedure.field_px, procedure.start_rad, procedure.sign)
 
     @property
     def frame_count(self) -> int:

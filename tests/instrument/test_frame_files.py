@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from greenough.instrument.errors import InputError
-from greenough.pipeline.frame_files import MAX_BYTES, read_frames
+from greenough.instrument.frame_files import MAX_BYTES, read_frames
 
 
 @pytest.fixture(params=[np.uint8, np.uint16])

@@ -4,8 +4,7 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 
-from greenough.instrument.errors import InputError
-
+from .errors import InputError
 from .frame_files import natural_key
 
 _STEP_WORDS = ("step", "shift", "phase", "ph", "n")

@@ -19,7 +19,7 @@ import h5py
 import numpy as np
 from PIL import Image
 
-from greenough.instrument.errors import InputError
+from .errors import InputError
 
 MAX_BYTES = 4 * 2**30
 """Of all frames together, as they are in memory."""

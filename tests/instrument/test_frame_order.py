@@ -6,7 +6,7 @@ import re
 import pytest
 
 from greenough.instrument.errors import InputError
-from greenough.pipeline.frame_order import guess_order, selected
+from greenough.instrument.frame_order import guess_order, selected
 
 PERIODS, STEPS = (608, 152, 40, 12), (4, 4, 4, 12)
 

@@ -166,8 +166,8 @@ class ImageRig:
         files = self._read(place)
         if len(files.stack) != 1:
             raise InputError(
-                f"{place} holds {len(files.stack)} frames, and the flat posture one white picture: give all postures "
-                "the same"
+                f"{place} holds {len(files.stack)} frames, where one white picture is asked for; all postures must "
+                "hold one, or all the fringes"
             )
         return self._frames(files.stack)
 
@@ -211,7 +211,10 @@ class ImageRig:
         return self.tilted[placement.posture]
 
     def _read(self, place: Place) -> FrameFiles:
-        files, camera = read_frames(place.files), self._settings.camera
+        try:
+            files, camera = read_frames(place.files), self._settings.camera
+        except InputError as error:
+            raise InputError(f"{place.kind} {place.name}: {error}") from None
         stack = files.stack
         if stack.ndim != 3 or stack.shape[1:] != camera.shape:
             raise InputError(

@@ -18,10 +18,14 @@ import pytest
 import trimesh
 from emulated_gige import free_address, need_aravis
 
+from greenough.instrument import Placement
 from greenough.instrument.command import GROUP, run
+from greenough.pipeline.acquisition import plane_heights
 from greenough.pipeline.fringes import FringeSet
 from greenough.pipeline.gray_code import stripe_patterns
 from greenough.twin.validation.studies import builtin_studies
+from image_folders import keep, save
+from plain_rig import PlainRig
 
 README = Path(__file__).parent.parent / "README.md"
 
@@ -101,7 +105,15 @@ def test_examples_run_in_the_order_of_the_page_and_the_commands_with_them(folder
     # What the study's runs find is tested in twin/validation; here they only have to be made.
     runs: list[str] = []
     monkeypatch.setattr("greenough.twin.validation.cost.cost_figures", cost_figures(runs))
-    Path("stage.toml").write_text(*blocks("toml"), encoding="utf-8")
+    own, stage = blocks("toml")
+    Path("stage.toml").write_text(stage, encoding="utf-8")
+
+    Path("own.toml").write_text(own, encoding="utf-8")
+    with PlainRig() as rig:  # is in no way a twin
+        keep(rig, Path(), plane_heights(rig))
+        rig.stage.move_to_mm(0.0)
+        rig.operator.place(Placement("tilted plane"))
+        save(rig.capture(FringeSet.of(rig.procedure).patterns(2, 608)).stack, rig.procedure.steps, Path("part"))
 
     for line in lines:
         # The demo and the comparison of its files are run by twin/validation/test_demo.py; all artefacts take more than
@@ -109,6 +121,7 @@ def test_examples_run_in_the_order_of_the_page_and_the_commands_with_them(folder
         if "demo" not in line and "accept" not in line:
             assert command(line) == 0, f"{line}\n{capsys.readouterr().err}"
     assert len(runs) == 10
+    assert 0.3 < np.median(trimesh.load("own.ply").vertices[:, 2]) < 0.5  # mm, the plain rig's tilted plane
     for name in ("phase.h5", "theirs.h5", "coded.h5"):
         with h5py.File(name) as file:
             assert np.mean(file["valid"][()]) > 0.9, name

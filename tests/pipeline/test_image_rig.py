@@ -15,7 +15,6 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from image_folders import keep, rig_file, save
 
 from greenough.instrument import Placement, open_rig
 from greenough.instrument.command import GROUP, run
@@ -26,6 +25,7 @@ from greenough.pipeline.calibration import Calibration
 from greenough.pipeline.fringes import FringeSet
 from greenough.pipeline.method import Method
 from greenough.pipeline.point_cloud import read_cloud
+from image_folders import keep, rig_file, save
 from plain_rig import PROCEDURE, PlainRig
 
 HEIGHTS = tuple(k * 0.001 for k in (-1350, -1050, -750, -450, -150, 150, 450, 750, 1050, 1350))  # as names tell them

@@ -33,13 +33,15 @@ MISFIT_RAD = 0.25
 0.06 rad: it has a wrong fringe order, or shows something else than the board's face."""
 
 SLOPE_TOLERANCE = 0.1
-"""Largest relative departure of a pixel's dz/dΦ from the median pixel's. Over the narrow field of a stereomicroscope it
-varies by 2 %; a pixel that sees the board's side wall, which passes by as the stage moves, has another one."""
+"""Largest relative departure of a pixel's dz/dΦ from that of the pixels around, a parabola over the picture. Over the
+narrow field of a stereomicroscope it varies by 2 %, over a wide one by tens; a pixel that sees the board's side wall,
+which passes by as the stage moves, has another one."""
 
 STRIP_PHASES = 8_000_000
 """How many phases of all planes together are worked at."""
 
-_SAMPLE = 2000  # pixels, whose condition is looked at
+_SAMPLE = 2000  # pixels, whose condition and slope are looked at
+_SLOPE_TOLERANCES = (0.5, 2 * SLOPE_TOLERANCE, SLOPE_TOLERANCE)  # to the slopes that the next parabola goes through
 _INVERSE_STEPS = 4  # r3 w³ is a few micrometres: each squares the error
 
 
@@ -188,13 +190,13 @@ class PhaseHeightFit:
     condition: float
 
 
-def fit_phase_height(phases: PlanePhases, z_mm: np.ndarray) -> PhaseHeightFit:
+def fit_phase_height(phases: PlanePhases, z_mm: np.ndarray, slope_tolerance: float = SLOPE_TOLERANCE) -> PhaseHeightFit:
     """Fit the phase-height relation of every pixel to planes at known heights.
 
     Eq. 19 on the normalised phase gives the start; Gauss-Newton steps on the height residuals of eq. 18 follow. Planes
     in which a pixel is NaN are left out for that pixel. A pixel is calibrated if it is valid in at least
     ``MIN_PLANES`` planes, no plane misses its relation by more than ``MISFIT_RAD``, and its slope is within
-    ``SLOPE_TOLERANCE`` of the others'.
+    ``slope_tolerance`` of the others'.
 
     Beside the phases and the result, memory is taken for a strip of the picture, which is so narrow that it holds
     ``STRIP_PHASES`` phases or a single row, however many planes there are.
@@ -205,6 +207,8 @@ def fit_phase_height(phases: PlanePhases, z_mm: np.ndarray) -> PhaseHeightFit:
         Absolute phase in rad, NaN where invalid. It is read strip by strip, twice.
     z_mm : (planes,)
         Height of each plane.
+    slope_tolerance : float
+        Infinite for phases that are a model's and of which none can be of something else.
 
     Raises
     ------
@@ -231,7 +235,7 @@ def fit_phase_height(phases: PlanePhases, z_mm: np.ndarray) -> PhaseHeightFit:
     residual_um = 1e3 * np.concatenate([fit.rms_mm for fit in fits])
     slope = (z_range[:, 1] - z_range[:, 0]) / half_range
     with np.errstate(invalid="ignore"):
-        alien = np.abs(slope / np.nanmedian(slope) - 1) > SLOPE_TOLERANCE if np.isfinite(slope).any() else slope > 0
+        alien = np.abs(slope / _typical_slopes(slope, (rows, cols)) - 1) > slope_tolerance
     for values in (coefficients, centre, half_range, z_range, residual_um):
         values[alien] = np.nan
     valid = np.isfinite(residual_um)
@@ -255,6 +259,27 @@ def fit_phase_height(phases: PlanePhases, z_mm: np.ndarray) -> PhaseHeightFit:
         plane_residual_um=1e3 * np.divide(sums, count, out=np.full(planes, np.nan), where=count > 0),
         condition=_worst_condition(phases, relation),
     )
+
+
+def _typical_slopes(slope: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """The parabola over the picture that most of the slopes (pixels,) lie on, (pixels,); NaN where none is known."""
+    at = np.flatnonzero(np.isfinite(slope))
+    at = at[:: max(1, len(at) // _SAMPLE)]
+    if len(at) == 0:
+        return slope
+    median = np.median(slope[at])
+    typical = np.full(len(at), median)
+    for tolerance in _SLOPE_TOLERANCES:
+        alike = at[np.abs(slope[at] / typical - 1) < tolerance]
+        solution = np.linalg.lstsq(_parabola(alike, shape), slope[alike] / median, rcond=None)[0]
+        typical = median * (_parabola(at, shape) @ solution)
+    return median * (_parabola(np.arange(len(slope)), shape) @ solution)
+
+
+def _parabola(pixels: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """(n, 6) of pixels' numbers (n,)."""
+    y, x = (at / size - 0.5 for at, size in zip(np.divmod(pixels, shape[1]), shape, strict=True))
+    return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
 
 
 def strips(shape: tuple[int, int, int]) -> Iterator[slice]:

@@ -39,7 +39,7 @@ def model_maps(instrument: InstrumentModel, z_low: float, z_high: float) -> tupl
     heights = (z_low + z_high) / 2 - (z_high - z_low) / 2 * np.cos(np.linspace(0, np.pi, _HEIGHTS))
     on_rays = (np.column_stack([origin + z * slope, np.full(len(pixels), z)]) for z in heights)
     phases = np.stack([instrument.projector.phase(xyz).reshape(v.shape) for xyz in on_rays])
-    relation = fit_phase_height(phases, heights).relation
+    relation = fit_phase_height(phases, heights, slope_tolerance=np.inf).relation
 
     def everywhere(coarse: np.ndarray) -> np.ndarray:
         """(grid rows, grid cols, n) to (rows, cols, n)."""

@@ -22,7 +22,7 @@ from greenough.pipeline.acquisition import (
 )
 from greenough.pipeline.calibration import Calibration
 from greenough.pipeline.unfinished import Unfinished
-from plain_rig import BOARD, PROCEDURE, SHAPE, TABLE_FROM_FLAT, Killed, PlainRig, pose_of, rays, scene
+from plain_rig import BOARD, PROCEDURE, SHAPE, TABLE_FROM_FLAT, TABLETOP, Killed, PlainRig, pose_of, rays, scene
 
 
 @pytest.fixture(scope="module")
@@ -305,6 +305,26 @@ def test_a_measurement_must_not_share_exposures_with_its_calibration(undisturbed
         measure(rig, undisturbed[0], Placement("tilted plane"))
     with PlainRig(run="run", exposures_done=undisturbed[0].exposures) as rig:
         assert measure(rig, undisturbed[0], Placement("tilted plane")).valid.any()
+
+
+@pytest.mark.parametrize("method", ["paper", "triangulation"])
+def test_a_tilted_plane_is_measured_in_a_field_as_large_as_a_table(tmp_path, method):
+    """Of which no pixel is left out because heights move its phase less or more than in the middle."""
+    wide = {"geometry": TABLETOP, "procedure": replace(PROCEDURE, plane_step_mm=6.0), "limit": 32.0}
+    with PlainRig(**wide) as rig:
+        calibration = calibrate(rig, tmp_path / "cal.h5", run="run", method=method)
+    with PlainRig(run="other", **wide) as rig:
+        points = measure(rig, calibration, Placement("tilted plane"))
+    origin, direction = rays(TABLETOP)
+    pose, flat = pose_of(Placement("tilted plane"), geometry=TABLETOP), pose_of(Placement("board"), geometry=TABLETOP)
+    hit = origin + direction * ((pose[:3, 3] - origin) @ pose[:3, 2] / (direction @ pose[:3, 2]))[..., None]
+    error = points.xyz - (hit - flat[:3, 3]) @ np.linalg.inv(flat[:3, :3]).T
+    light, _ = scene(Placement("tilted plane"), False, 0.0, TABLETOP)
+    inner = minimum_filter(light, 31, mode="constant") > 0
+    assert points.valid.sum() > {"paper": 0.95, "triangulation": 0.7}[method] * inner.sum()
+    noise = np.nanmean((error[..., 2] / points.sigma_noise[..., 2]) ** 2)
+    assert 0.9 < noise < 1.6
+    assert abs(np.nanmean(error[..., 2])) < 0.01
 
 
 def test_brackets_and_the_filter_lower_the_noise(undisturbed):

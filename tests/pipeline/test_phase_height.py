@@ -295,3 +295,15 @@ def test_a_relation_known_in_fewer_pixels_is_the_same_there():
         assert other.dtype == np.float32
         assert np.array_equal(one[fewer.valid], other[fewer.valid])
         assert np.isnan(other[~fewer.valid]).all()
+
+
+def test_a_field_over_which_sensitivity_varies_by_a_quarter_is_calibrated_to_its_corners():
+    wide = {"distance": 400.0, "angle_deg": 11.0, "focal": 800.0, "stride": 30}
+    heights = 20 * HEIGHTS
+    phases = planes(heights, **wide)
+    rate = phases[-1] - phases[0]
+    assert rate.max() / rate.min() > 1.24  # the middle is further from either end than what is tolerated
+    phases[:, 5, 7] = phases[:1, 5, 7] + 1.2 * (phases[:, 5, 7] - phases[:1, 5, 7])  # as a wall that passes by
+    valid = fit_phase_height(phases, heights).relation.valid
+    assert not valid[5, 7]
+    assert valid.sum() == valid.size - 1

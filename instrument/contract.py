@@ -115,11 +115,13 @@ class KnownUncertainty:
 
 @dataclass(frozen=True)
 class SpotBoard:
-    """Nominal calibration board: white spots on dark ink, as its drawing says.
+    """Nominal calibration board: white spots on dark ink, or dark ones on white, as its drawing says.
 
-    ``big`` lists the (row, col) indices of the large spots, which break the symmetry of the grid. Spot (row, col) is
-    nominally at ``((col - (cols - 1) / 2) * pitch_mm, ((rows - 1) / 2 - row) * pitch_mm)``: columns along +x, rows
-    downwards along -y, the origin in the middle of the grid.
+    ``big`` lists the (row, col) indices of the large spots, which break the symmetry of the grid; where there are none,
+    the whole grid must be seen, and its columns run to the right in every picture rather than to the left.
+
+    Spot (row, col) is nominally at ``((col - (cols - 1) / 2) * pitch_mm, ((rows - 1) / 2 - row) * pitch_mm)``: columns
+    along +x, rows downwards along -y, the origin in the middle of the grid.
     """
 
     rows: int
@@ -129,6 +131,7 @@ class SpotBoard:
     small_diameter_mm: float
     size_mm: float
     big: tuple[tuple[int, int], ...]
+    dark_spots: bool = False
 
     def centres(self) -> np.ndarray:
         """Nominal centres, (rows * cols, 2) in mm, row by row."""

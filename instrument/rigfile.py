@@ -105,22 +105,26 @@ class StageSection(BaseModel):
 
 
 class BoardSection(BaseModel):
-    """``[board]``: the calibration board as its drawing says."""
+    """``[board]``: the calibration board as its drawing says, with or without big spots."""
 
     model_config = _SECTION
     rows: Annotated[int, Field(ge=3, le=200)]
     cols: Annotated[int, Field(ge=3, le=200)]
     pitch_mm: _Size
-    big_diameter_mm: _Size
+    big_diameter_mm: _Size | None = None
     small_diameter_mm: _Size
     size_mm: _Size
-    big: Annotated[tuple[tuple[_Index, _Index], ...], Field(min_length=3, max_length=100)]
+    big: Annotated[tuple[tuple[_Index, _Index], ...], Field(min_length=3, max_length=100)] = ()
+    dark_spots: bool = False
 
     @model_validator(mode="after")
     def _consistent(self) -> "BoardSection":
-        if not self.small_diameter_mm < self.big_diameter_mm < self.pitch_mm:
+        if (self.big_diameter_mm is None) != (not self.big):
+            raise ValueError("must have both big_diameter_mm and big, or neither where all spots are alike")
+        largest = self.big_diameter_mm or self.small_diameter_mm
+        if not self.small_diameter_mm <= largest < self.pitch_mm or (largest == self.small_diameter_mm and self.big):
             raise ValueError("must have small_diameter_mm below big_diameter_mm, and that below pitch_mm")
-        extent = (max(self.rows, self.cols) - 1) * self.pitch_mm + self.big_diameter_mm
+        extent = (max(self.rows, self.cols) - 1) * self.pitch_mm + largest
         if self.size_mm < extent:
             raise ValueError(f"size_mm must be at least {extent:g} to hold all spots")
         for row, col in self.big:
@@ -130,7 +134,8 @@ class BoardSection(BaseModel):
 
     @property
     def nominal(self) -> SpotBoard:
-        return SpotBoard(**{name: getattr(self, name) for name in type(self).model_fields})
+        fields = {name: getattr(self, name) for name in type(self).model_fields}
+        return SpotBoard(**fields | {"big_diameter_mm": self.big_diameter_mm or self.small_diameter_mm})
 
 
 class ProcedureSection(BaseModel):

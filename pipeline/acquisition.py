@@ -391,7 +391,11 @@ class _Acquirer:
             except BoardNotFound as error:
                 _log.warning("posture %s: the board was not found (%s)", name, error)
                 return {}
-            phases = no_spot_phases(spots) if phase_map is None else measure_spot_phases(phase_map, spots)
+            phases = (
+                no_spot_phases(spots)
+                if phase_map is None
+                else measure_spot_phases(phase_map, spots, self._rig.board.dark_spots)
+            )
             return asdict(spots) | asdict(phases)
 
         arrays = self._once(f"posture-{name}", take)

@@ -15,6 +15,10 @@ INNER_SHARE = 0.65
 phase. A small spot of 8.7 px keeps 3 px from its rim, more than the Airy radius of 2.2 px. What is left over is odd
 about the centre and does not move the phase there."""
 
+RING = 1.35, 1.9
+"""Of a dark spot's radius, between which the phase around it is taken: far enough from the ink, and not as far as the
+next spot of a grid whose spots fill half of the pitch."""
+
 MIN_SPOT_PHASES = 50
 
 _MIN_PIXELS = 12  # of a spot's interior
@@ -67,8 +71,8 @@ class BundleData:
     planes: tuple[PlaneBlocks, ...]
 
 
-def measure_spot_phases(phase_map: PhaseMap, spots: Spots) -> SpotPhases:
-    """Fit a plane to the phase within each spot.
+def measure_spot_phases(phase_map: PhaseMap, spots: Spots, dark: bool = False) -> SpotPhases:
+    """Fit a plane to the phase within each spot, or where spots are dark in a ring around it.
 
     The phase of single pixels has some 0.3 rad from one to the next and noise of 0.01 rad; a plane through the
     interior of a spot gives the phase at its centre, free of what the rim's blur does to either side.
@@ -77,11 +81,12 @@ def measure_spot_phases(phase_map: PhaseMap, spots: Spots) -> SpotPhases:
     phase, gradient, sigma = np.full(n, np.nan), np.full((n, 2), np.nan), np.full(n, np.nan)
     rows, cols = phase_map.absolute.shape
     for k in np.flatnonzero(spots.seen):
-        (u, v), reach = spots.centres_px[k], INNER_SHARE * spots.axes_px[k].min()
+        (u, v), axes = spots.centres_px[k], spots.axes_px[k]
+        hole, reach = (RING[0] * axes.max(), RING[1] * axes.max()) if dark else (0.0, INNER_SHARE * axes.min())
         left, right = max(0, int(np.ceil(u - reach))), min(cols, int(u + reach) + 1)
         top, bottom = max(0, int(np.ceil(v - reach))), min(rows, int(v + reach) + 1)
         dv, du = np.mgrid[top:bottom, left:right] - np.array([v, u]).reshape(2, 1, 1)
-        disc = du**2 + dv**2 <= reach**2
+        disc = (du**2 + dv**2 <= reach**2) & (du**2 + dv**2 >= hole**2)
         window = phase_map.absolute[top:bottom, left:right].astype(float)
         inside = disc & phase_map.valid[top:bottom, left:right]
         if inside.sum() < max(_MIN_PIXELS, _MIN_SHARE * disc.sum()):

@@ -78,8 +78,11 @@ class CalibrationData:
 
     @property
     def sharp_postures(self) -> tuple[tuple[Spots, ...], tuple[SpotPhases, ...]]:
-        """``spots`` and ``spot_phases`` freed from what blur does on tilted boards, if the point spread is known."""
-        if self.point_spread is None:
+        """``spots`` and ``spot_phases`` freed from what blur does on tilted boards, if the point spread is known.
+
+        Of dark spots it is another, which nobody has worked out: theirs stay as they are.
+        """
+        if self.point_spread is None or self.board.dark_spots:
             return self.spots, self.spot_phases
         heights = self.camera.spot_heights(self.board)
         freed = [

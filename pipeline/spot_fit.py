@@ -53,7 +53,7 @@ class SpotFits:
     blur_px : (n,)
         Standard deviation of the Gaussian that blurs the edge, the pixel's own area included.
     contrast_dn : (n,)
-        White minus ink at the centre.
+        Spot minus what is around it, at the centre.
     residual_dn : (n,)
         Root mean square of picture minus model.
     asymmetry_dn : (n,)
@@ -71,7 +71,11 @@ class SpotFits:
 
 
 def fit_spots(
-    image: np.ndarray, centres_px: np.ndarray, axes_px: np.ndarray, light_per_px: np.ndarray | None = None
+    image: np.ndarray,
+    centres_px: np.ndarray,
+    axes_px: np.ndarray,
+    light_per_px: np.ndarray | None = None,
+    dark: bool = False,
 ) -> SpotFits:
     """Fit a blurred ellipse to the window around each spot.
 
@@ -91,6 +95,8 @@ def fit_spots(
         Start of the semi-axes.
     light_per_px : (n, 2), optional
         Relative gradient g of the light at each spot, if it is known.
+    dark : bool
+        Whether spots are darker than what is around them; their contrast is negative then.
     """
     count = len(centres_px)
     radius = axes_px.max(axis=1)
@@ -102,7 +108,8 @@ def fit_spots(
     result = np.full((count, 9), np.nan)
     for size in np.unique(half[fits_in]):
         group = np.flatnonzero(fits_in & (half == size))
-        result[group] = _fit_windows(image, middle[group], int(size), centres_px[group], axes_px[group], light[group])
+        window = middle[group], int(size), centres_px[group], axes_px[group], light[group]
+        result[group] = _fit_windows(image, *window, dark)
     return SpotFits(result[:, :2], result[:, 2:4], *result[:, 4:].T)
 
 
@@ -113,6 +120,7 @@ def _fit_windows(
     centres_px: np.ndarray,
     axes_px: np.ndarray,
     light_per_px: np.ndarray,
+    dark: bool,
 ) -> np.ndarray:
     """Gauss-Newton over windows of one size, all spots at once; (n, 9) columns in the order of SpotFits.
 
@@ -136,7 +144,7 @@ def _fit_windows(
     parameters[:, [2, 4]] = 1.0
     parameters[:, 5] = _BLUR_START_PX
     low, high = np.percentile(pixels, [10, 90], axis=1)
-    parameters[:, 6], parameters[:, 7] = low, high - low
+    parameters[:, 6], parameters[:, 7] = (high, low - high) if dark else (low, high - low)
     for _ in range(_ITERATIONS):
         model, jacobian = _blurred_ellipse(parameters, radius2, x, y, slopes)
         jacobian[fixed] = 0.0
@@ -171,7 +179,7 @@ def _fit_windows(
     shift = np.einsum("nkp,np->nk", to_mean, residual)
     centres = middle + parameters[:, :2] + blur[:, None] ** 2 * gradient + shift
     table = np.column_stack([centres, axes, sigma, blur, contrast, np.sqrt(variance), np.sqrt(np.mean(odd**2, axis=1))])
-    bad = ~np.isfinite(table).all(axis=1) | (np.abs(step[:, :2]).max(axis=1) > 0.01) | (contrast <= 0)
+    bad = ~np.isfinite(table).all(axis=1) | (np.abs(step[:, :2]).max(axis=1) > 0.01) | ((contrast < 0) != dark)
     table[bad] = np.nan
     return table
 

@@ -24,7 +24,8 @@ def order_spots(centres_px: np.ndarray, areas_px: np.ndarray, board: SpotBoard) 
     A lattice is grown from the densest neighbourhood by a homography that is refitted as it spreads; each blob is
     called big or small by its area against the lattice cell's, as the drawing has it. The board's order is the one of
     the four rotations and all shifts that agrees best with the pattern of big spots; the board is seen from its
-    printed side, so mirror images are excluded.
+    printed side, so mirror images are excluded. Without big spots the grid must have all its rows and columns, and of the
+    rotations that fit it is the one in which columns run most to the right.
 
     Parameters
     ----------
@@ -55,7 +56,10 @@ def order_spots(centres_px: np.ndarray, areas_px: np.ndarray, board: SpotBoard) 
     found = np.flatnonzero(member)
     if len(found) < MIN_SPOTS:
         raise BoardNotFound(_too_few(len(found), total))
-    row, col = _match_big_spots(labels[found], is_big[found], board)
+    if board.big:
+        row, col = _match_big_spots(labels[found], is_big[found], board)
+    else:
+        row, col = _match_whole_grid(labels[found], centres_px[found], board)
     inside = (row >= 0) & (row < board.rows) & (col >= 0) & (col < board.cols)
     index = np.full(total, -1)
     index[row[inside] * board.cols + col[inside]] = found[inside]
@@ -137,6 +141,25 @@ def _fit_lattice(labels: np.ndarray, points: np.ndarray) -> np.ndarray:
             return homography
     affine, *_ = np.linalg.lstsq(np.column_stack([labels, np.ones(len(labels))]), points, rcond=None)
     return np.vstack([affine.T, [0.0, 0.0, 1.0]])
+
+
+def _match_whole_grid(labels: np.ndarray, points: np.ndarray, board: SpotBoard) -> tuple[np.ndarray, np.ndarray]:
+    """Row and column on the board of each lattice point, by the grid's extent and its rotation in the picture."""
+    fits = []  # (how much columns run to the right, row, col)
+    col, row = labels.T
+    for _ in range(4):
+        col, row = -row, col
+        if np.ptp(row) == board.rows - 1 and np.ptp(col) == board.cols - 1:
+            steps = np.linalg.lstsq(np.column_stack([col, row, np.ones(len(col))]), points, rcond=None)[0]
+            fits.append((steps[0, 0] / np.linalg.norm(steps[0]), row - row.min(), col - col.min()))
+    if not fits:
+        extent = sorted(int(reach) + 1 for reach in np.ptp(labels, axis=0))
+        raise BoardNotFound(
+            f"calibration board not found: a grid of {extent[0]} x {extent[1]} spots was seen, and not one of "
+            f"{board.rows} rows and {board.cols} columns; without big spots all of it must be in the picture"
+        )
+    _, row, col = max(fits, key=lambda fit: fit[0])
+    return row, col
 
 
 def _match_big_spots(labels: np.ndarray, is_big: np.ndarray, board: SpotBoard) -> tuple[np.ndarray, np.ndarray]:

@@ -53,10 +53,10 @@ class Spots:
 
 
 def detect_spots(image: np.ndarray, board: SpotBoard) -> Spots:
-    """Find the board's white spots on dark ink.
+    """Find the board's spots, white ones on dark ink or dark ones on white.
 
     The board may be turned, tilted, shifted, partly out of the picture or of the light, and unevenly lit; its grid
-    must span between a third of the picture's width and all of it. Blobs brighter than the middle of the *local* dark
+    must span between a third of the picture's width and all of it. Blobs brighter (or darker) than the middle of the *local* dark
     and bright levels are put into the board's order, then measured by :func:`greenough.pipeline.spot_fit.fit_spots`. A
     spot whose picture is no ellipse (cut by the edge of the light, dirty), or whose size or place does not go with the
     others, counts as unseen.
@@ -79,11 +79,12 @@ def detect_spots(image: np.ndarray, board: SpotBoard) -> Spots:
             + ("" if image.ndim != 2 else " and holds values that are not finite")
         )
     image = np.ascontiguousarray(image, dtype=np.float32)
-    centres, axes = _bright_blobs(image)
+    centres, axes = _bright_blobs(image.max() - image if board.dark_spots else image)
     index = order_spots(centres, np.pi * axes.prod(axis=1), board)
     spot = np.flatnonzero(index >= 0)
-    fits = fit_spots(image, centres[index[spot]], axes[index[spot]])
-    light = light_gradients(image, fits.centres_px, fits.axes_px)
+    fits = fit_spots(image, centres[index[spot]], axes[index[spot]], dark=board.dark_spots)
+    # Dark spots are too dark to tell the light around them: each fit then tells its own.
+    light = None if board.dark_spots else light_gradients(image, fits.centres_px, fits.axes_px)
     if light is not None:
         fits = fit_spots(image, centres[index[spot]], axes[index[spot]], light)
     good = _consistent(fits, spot, board, _noise_dn(image))

@@ -237,3 +237,15 @@ def test_another_models_error_is_described_with_and_without_its_model() -> None:
     bare = describe_validation_error(caught.value, "section twin")
     assert "seed = 100 input should be less than 100" in bare
     assert "there is no field sede" in bare
+
+
+def test_a_board_may_have_no_big_spots(tmp_path: Path) -> None:
+    lines = [line for line in TWIN.splitlines() if not line.startswith("big")]
+    path = tmp_path / "plain.toml"
+    path.write_text("\n".join(lines))
+    board = load_rig_file(path).board.nominal
+    assert board.big == ()
+    assert set(board.diameters()) == {0.175}
+    path.write_text(TWIN.replace("big_diameter_mm = 0.4\n", ""))
+    with pytest.raises(InputError, match="both big_diameter_mm and big, or neither"):
+        load_rig_file(path)

@@ -75,10 +75,11 @@ class PlainRig:
         limit=1.6,
         stage_error=lambda reading: reading,
         geometry=STEREOMICROSCOPE,
+        board=BOARD,
     ):
         self.identity = RigIdentity("plain", "camera 1", "projector 1", f"{seed:064x}")
         self.procedure, self.uncertainty = procedure, UNCERTAINTY
-        self.geometry, self.board = geometry, scaled(BOARD, geometry.scale)
+        self.geometry, self.board = geometry, scaled(board, geometry.scale)
         self.devices = ()
         self.camera = SimpleNamespace(
             shape=SHAPE,
@@ -119,7 +120,7 @@ class PlainRig:
         z, placement = self._true_height(self.stage.position_mm), self.placed[-1]
         exposure_us, hidden = self.camera.exposure_us, placement.posture in self._hidden
         lines = np.ascontiguousarray(patterns[:, 0]).tobytes()
-        scenery = placement, hidden, z, self.geometry
+        scenery = placement, hidden, z, self.geometry, self.board
         stack = photograph(scenery, lines, exposure_us, self._seed, self._run, int(serials[0]))
         return Frames(stack, 255.0, 4.0, exposure_us, 0.0, self.stage.position_mm, serials, serials * 0.01, self._run)
 
@@ -141,7 +142,7 @@ def photograph(scenery, lines, exposure_us, seed, run, first_serial):
     return stack
 
 
-def scene(placement, hidden, z, geometry=STEREOMICROSCOPE):
+def scene(placement, hidden, z, geometry=STEREOMICROSCOPE, board=BOARD):
     """Reflected light and projector column of every pixel, (rows, cols) each."""
     table_from_part = pose_of(placement, hidden, geometry)
     table_from_part[2, 3] += z
@@ -152,12 +153,12 @@ def scene(placement, hidden, z, geometry=STEREOMICROSCOPE):
     if placement.part == "board" and placement.face == "printed":
         on_board = (point - middle) @ table_from_part[:3, :2]
         inside = np.full(SHAPE, -1.0)
-        board = scaled(BOARD, geometry.scale)
         for centre, diameter in zip(board.centres(), board.diameters(), strict=True):
             offset = on_board - centre
             np.maximum(inside, diameter / 2 - np.hypot(offset[..., 0], offset[..., 1]), out=inside)
         edge = geometry.distance / geometry.focal_px  # a pixel wide
-        reflectance = 0.08 + 0.77 * expit(4 * inside / edge)
+        white = expit((-4 if board.dark_spots else 4) * inside / edge)
+        reflectance = 0.08 + 0.77 * white
     column = projector_column(point, geometry)
     lit = (column > 0) & (column < 607) & (np.abs(point[..., 1]) < 0.332 * geometry.field)
     return reflectance * lit, column

@@ -327,6 +327,24 @@ def test_a_tilted_plane_is_measured_in_a_field_as_large_as_a_table(tmp_path, met
     assert abs(np.nanmean(error[..., 2])) < 0.01
 
 
+@pytest.mark.parametrize("dark", [False, True])
+def test_a_grid_of_spots_that_are_all_alike_calibrates_too(tmp_path, dark):
+    """White on dark or dark on white: where spots are dark the phase is taken around them."""
+    board = replace(BOARD, big=(), big_diameter_mm=BOARD.small_diameter_mm, dark_spots=dark)
+    with PlainRig(board=board) as rig:
+        calibration = calibrate(rig, tmp_path / "cal.h5", run="run", method="triangulation")
+    assert calibration.figures["spot_phases_used"] > 200
+    with PlainRig(run="other", board=board) as rig:
+        points = measure(rig, calibration, Placement("tilted plane"))
+    origin, direction = rays()
+    pose = pose_of(Placement("tilted plane"))
+    hit = origin + direction * ((pose[:3, 3] - origin) @ pose[:3, 2] / (direction @ pose[:3, 2]))[..., None]
+    error = points.xyz - (hit - TABLE_FROM_FLAT[:3, 3]) @ np.linalg.inv(TABLE_FROM_FLAT[:3, :3]).T
+    assert points.valid.mean() > 0.4
+    assert abs(np.nanmean(error[..., 2])) < 1e-3
+    assert np.nanstd(error[..., 2]) < 1.5e-3
+
+
 def test_brackets_and_the_filter_lower_the_noise(undisturbed):
     def noise(**options):
         with PlainRig(run="other") as rig:

@@ -89,3 +89,37 @@ def test_spots_on_one_line_are_no_board():
     blobs = np.column_stack([np.arange(30) * 40.0, np.full(30, 300.0)])
     with pytest.raises(BoardNotFound):
         order_spots(blobs, np.full(30, 250.0), BOARD)
+
+
+def plain(rows: int, cols: int) -> SpotBoard:
+    """A grid of spots that are all alike."""
+    return SpotBoard(rows, cols, 0.65, 0.3, 0.3, 8.0, ())
+
+
+def laid(board: SpotBoard, turn_deg: float) -> tuple[np.ndarray, np.ndarray]:
+    """Centres and areas of a board turned in its plane, v downwards."""
+    cosine, sine = np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))
+    x, y = (board.centres() @ [[cosine, sine], [-sine, cosine]]).T * PX_PER_MM
+    return np.stack([640 + x, 480 - y], axis=-1), np.pi / 4 * board.diameters() ** 2 * PX_PER_MM**2
+
+
+@pytest.mark.parametrize(("rows", "cols", "reach"), [(7, 7, 44), (5, 8, 89)])
+def test_spots_that_are_all_alike_are_told_by_the_whole_grid_and_by_how_it_is_turned(rows, cols, reach):
+    """A square grid within 45 degrees, one of fewer rows than columns within 90."""
+    board = plain(rows, cols)
+    for turn in (-reach, -20, 0, 30, reach):
+        centres, areas = laid(board, turn)
+        shuffled = np.random.default_rng(1).permutation(len(centres))
+        index = order_spots(centres[shuffled], areas[shuffled], board)
+        assert np.array_equal(shuffled[index], np.arange(rows * cols))
+        lost = np.delete(np.arange(rows * cols), [3, 20])  # not a whole row, nor a column
+        index = order_spots(centres[lost], areas[lost], board)
+        assert np.array_equal(np.flatnonzero(index < 0), [3, 20])
+        assert np.array_equal(lost[index[index >= 0]], lost)
+
+
+def test_a_grid_of_spots_that_are_all_alike_is_refused_where_a_row_is_not_in_the_picture():
+    board = plain(6, 8)
+    centres, areas = laid(board, 10)
+    with pytest.raises(BoardNotFound, match="a grid of 5 x 8 spots was seen, and not one of 6 rows and 8 columns"):
+        order_spots(centres[8:], areas[8:], board)

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -164,3 +166,19 @@ def test_a_skewed_blur_moves_a_centre_by_little_more_than_its_mean(paint, pose, 
         along, across = np.nanmean(errors[kind], axis=0)
         assert 0 < along / symmetric < 2 / 3
         assert abs(across) < 0.001
+
+
+@pytest.mark.parametrize("blur_px", [0.8, 1.5])
+def test_dark_spots_are_found_at_their_own_places(paint, pose, spot_board, blur_px):
+    """The same board in other colours: black where it was white. Its spots need not be big anywhere, either."""
+    plain = replace(spot_board, big=(), big_diameter_mm=0.3, small_diameter_mm=0.3, dark_spots=True)
+    rng = np.random.default_rng(3)
+    white = paint(plain, pose(12.0, 70.0, 10.0, (0.1, 0.0)), rng, blur_px=blur_px, noise_dn=0.0, lit_field=False)
+    dark = 1.1 * 110.0 - white.picture + rng.normal(0.0, NOISE_DN, white.picture.shape)
+    spots = detect_spots(dark, plain)
+    assert spots.seen.mean() > 0.95
+    errors = (spots.centres_px - white.ellipse_centres)[spots.seen]
+    assert np.sqrt(np.mean((errors / spots.sigma_px[spots.seen, None]) ** 2)) == pytest.approx(1.0, abs=0.2)
+    assert np.all(np.abs(errors.mean(axis=0)) < 4 * errors.std(axis=0) / np.sqrt(len(errors)))
+    with pytest.raises(BoardNotFound):
+        detect_spots(dark, replace(plain, dark_spots=False))

@@ -97,3 +97,8 @@ def test_an_unknown_field_is_named_with_the_nearest_known():
     sentence = refusal("twin.stage.position_sd=3")
     assert "stage.position_sd," in sentence
     assert "stage.position_sd_um" in sentence
+
+
+def test_a_board_of_dark_spots_is_refused_and_not_printed_white():
+    with pytest.raises(InputError, match=r"leave board\.dark_spots out"):
+        load_twin_file("twin", ["board.dark_spots=true"])

@@ -391,12 +391,9 @@ class _Acquirer:
             except BoardNotFound as error:
                 _log.warning("posture %s: the board was not found (%s)", name, error)
                 return {}
-            phases = (
-                no_spot_phases(spots)
-                if phase_map is None
-                else measure_spot_phases(phase_map, spots, self._rig.board.dark_spots)
-            )
-            return asdict(spots) | asdict(phases)
+            if phase_map is None:
+                return asdict(spots) | asdict(no_spot_phases(spots))
+            return asdict(spots) | asdict(measure_spot_phases(phase_map, spots, self._rig.board.dark_spots))
 
         arrays = self._once(f"posture-{name}", take)
         self._exposed = bool(arrays)

@@ -24,8 +24,8 @@ def order_spots(centres_px: np.ndarray, areas_px: np.ndarray, board: SpotBoard) 
     A lattice is grown from the densest neighbourhood by a homography that is refitted as it spreads; each blob is
     called big or small by its area against the lattice cell's, as the drawing has it. The board's order is the one of
     the four rotations and all shifts that agrees best with the pattern of big spots; the board is seen from its
-    printed side, so mirror images are excluded. Without big spots the grid must have all its rows and columns, and of the
-    rotations that fit it is the one in which columns run most to the right.
+    printed side, so mirror images are excluded. Without big spots the grid must have all its rows and columns, and of
+    the rotations that fit it is the one in which columns run most to the right.
 
     Parameters
     ----------

@@ -154,8 +154,10 @@ class TwinSettings(BaseModel):
 def twin_settings(rig_file: RigFile) -> TwinSettings:
     """The validated ``[twin]`` section of ``rig_file``.
 
-    Raises InputError naming every wrong field with what is allowed there.
+    Raises InputError naming every wrong field with what is allowed there, and for a board that a twin does not print.
     """
+    if rig_file.board.dark_spots:
+        raise InputError(f"rig {rig_file.name}: a twin prints white spots on dark ink; leave board.dark_spots out")
     try:
         return TwinSettings.model_validate(rig_file.driver_section("twin"), strict=True)
     except ValidationError as error:

@@ -165,13 +165,16 @@ class Procedure:
     start_rad: float = 0.0
     sign: int = 1
     heights_mm: tuple[float, ...] = ()  # of the planes, rising, where they are not evenly spaced about 0
+    gray_bits: int = 0  # of a Gray code that is shown after the fringes, its coarsest bit first
+    gray_width_px: float | None = None  # columns of its stripes; a finest period where it is not given
+    gray_inverse: bool = False  # each bit is followed by its inverse
     fringes_on_postures: bool = True  # without, the board's postures are shown in white light alone
     posture_names: tuple[str, ...] = ()  # of the tilted ones, in sentences, where they are not called by their numbers
 
     @property
     def exposures(self) -> int:
         """Of a whole calibration: every posture and plane with every pattern."""
-        patterns = sum(self.steps)
+        patterns = sum(self.steps) + self.gray_bits * (2 if self.gray_inverse else 1)
         return self.postures * (patterns if self.fringes_on_postures else 1) + self.planes * patterns
 
 

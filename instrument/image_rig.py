@@ -88,7 +88,7 @@ class ImageRig:
         heights = tuple(height for height in self.planes if abs(height) > _SAME_MM)
         fringes = len(read_frames(self.flat.files).stack) > 1
         names = tuple(place.name for place in self.tilted)
-        self.procedure: Procedure = settings.contract(names, heights, fringes_on_postures=fringes)
+        self.procedure: Procedure = settings.contract(names, heights, _gray_frames(settings), fringes)
         self.camera = _ImageCamera(settings.camera)
         self.projector = _ImageProjector(settings.projector_shape)
         self.stage = _ImageStage(heights)
@@ -138,27 +138,29 @@ class ImageRig:
         )
 
     def fringes(self, place: Place) -> tuple[Frames, tuple[str, ...], str]:
-        """The fringe frames of a place, the coarsest period first, their names, and why this order.
+        """The frames of a place, fringes from the coarsest period on, then a Gray code; their names, and why this order.
 
         Raises InputError as `capture`.
         """
-        files, said = self._read(place), self._settings.procedure
+        files, said, images = self._read(place), self._settings.procedure, self._settings.images
         count, wanted = len(files.stack), sum(said.steps)
-        if self._settings.images.fringe_frames is not None:
-            chosen, why = selected(self._settings.images.fringe_frames, count, "images.fringe_frames"), "fringe_frames"
+        gray = selected(images.gray_frames, count, "images.gray_frames") if images.gray_frames else []
+        if images.fringe_frames:
+            chosen, why = selected(images.fringe_frames, count, "images.fringe_frames"), "images.fringe_frames"
         else:
-            chosen, why = list(range(count)), ""
+            chosen, why = [k for k in range(count) if k not in gray], ""
         if len(chosen) != wanted:
-            held = f"{count} frames" if len(chosen) == count else f"{len(chosen)} frames by images.fringe_frames"
+            held = f"{count} frames" if len(chosen) == count else f"{len(chosen)} frames of fringes among {count}"
             raise InputError(
                 f"{place} holds {held}, but the procedure's steps {list(said.steps)} need {wanted}: add what is "
                 "missing, or let images.fringe_frames say which of them show fringes"
             )
         if not why:
-            chosen, why = guess_order(files.names, said.periods_px, said.steps)
+            order, why = guess_order([files.names[k] for k in chosen], said.periods_px, said.steps)
+            chosen = [chosen[k] for k in order]
         starts = [0, *accumulate(said.steps)]
         coarsest_first = sorted(range(len(said.steps)), key=lambda k: -said.periods_px[k])
-        order = [chosen[n] for k in coarsest_first for n in range(starts[k], starts[k + 1])]
+        order = [chosen[n] for k in coarsest_first for n in range(starts[k], starts[k + 1])] + gray
         return self._frames(files.stack[order]), tuple(files.names[k] for k in order), why
 
     def white(self, place: Place) -> Frames:
@@ -235,12 +237,15 @@ class ImageRig:
     def _shown(self, patterns: np.ndarray) -> bool:
         """Whether these are the fringes that the procedure says were shown."""
         procedure, column = self.procedure, np.arange(self.projector.shape[1])
-        if len(patterns) != sum(procedure.steps):
-            return False
         sets = zip(procedure.periods_px, procedure.steps, strict=True)
         turns = [column / p + procedure.sign * n / steps for p, steps in sets for n in range(steps)]
         ideal = 127.5 * (1 + np.cos(2 * np.pi * np.array(turns) + procedure.start_rad))
-        return bool((np.abs(patterns[:, 0] - ideal) < 1).all())  # rounding is less
+        if procedure.gray_bits:
+            stripe = (column // (procedure.gray_width_px or procedure.periods_px[-1])).astype(int)
+            code = [255 * ((stripe ^ (stripe >> 1)) >> bit & 1) for bit in reversed(range(procedure.gray_bits))]
+            shown = [values for bit in code for values in ((bit, 255 - bit) if procedure.gray_inverse else (bit,))]
+            ideal = np.concatenate([ideal, shown])
+        return len(patterns) == len(ideal) and bool((np.abs(patterns[:, 0] - ideal) < 1).all())  # rounding is less
 
 
 class _ImageCamera:
@@ -291,6 +296,15 @@ class _ImageOperator:
         if placement != plain:
             raise InputError(f"{placement.part} lies where it lay when its images were taken: leave unit and pose out")
         self.placement = placement
+
+
+def _gray_frames(settings: ImageRigFile) -> int:
+    """How many show a Gray code."""
+    chosen, what = settings.images.gray_frames, "images.gray_frames"
+    count = len(selected(chosen, 10**6, what)) if chosen else 0
+    if count > 60 or (settings.procedure.gray_inverse and count % 2):
+        raise InputError(f"{what} = {chosen}: there must be at most 60, and with gray_inverse an even number of them")
+    return count
 
 
 def _postures(settings: ImageRigFile, folder: Path) -> tuple[tuple[Place, ...], Place]:

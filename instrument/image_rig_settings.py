@@ -54,7 +54,8 @@ class ImageProcedureSection(BaseModel):
     """``[procedure]``: the fringes that were shown, and how many postures and planes there should be.
 
     The n-th of the N frames of a period p is A + B cos(2π x / p + start + sign 2π n / N). Horizontal fringes count the
-    projector's rows for x. Periods are in the order of the frames.
+    projector's rows for x. Periods are in the order of the frames. The stripes of a Gray code are as wide as the finest
+    period or ``gray_width_px``, and with ``gray_inverse`` each of its frames is followed by its inverse.
     """
 
     model_config = _SECTION
@@ -63,6 +64,8 @@ class ImageProcedureSection(BaseModel):
     direction: Literal["vertical", "horizontal"] = "vertical"
     start_deg: Annotated[float, Field(ge=-360, le=360)] = 0.0
     sign: Literal[1, -1] = 1
+    gray_width_px: Annotated[float, Field(ge=2, le=20_000)] | None = None
+    gray_inverse: bool = False
     postures: Annotated[int, Field(ge=4, le=200)] | None = None
     planes: Annotated[int, Field(ge=3, le=1000)] | None = None
 
@@ -96,6 +99,8 @@ class ImagesSection(BaseModel):
         In its place: what stands for ``{}`` is a number, and the height is (number - zero) times step.
     fringe_frames : str, optional
         Which frames of a place show fringes, from 0, in the order of the periods: ``"3-5,0-2"``.
+    gray_frames : str, optional
+        Which frames show a Gray code, its coarsest bit first.
     """
 
     model_config = _SECTION
@@ -107,6 +112,7 @@ class ImagesSection(BaseModel):
     plane_step_mm: _Height | None = None
     plane_zero: float = 0.0
     fringe_frames: _Text | None = None
+    gray_frames: _Text | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> "ImagesSection":
@@ -142,11 +148,14 @@ class ImageRigFile(BaseModel):
         rows, cols = self.projector.shape
         return (rows, cols) if self.procedure.direction == "vertical" else (cols, rows)
 
-    def contract(self, tilted: tuple[str, ...], heights_mm: tuple[float, ...], fringes_on_postures: bool) -> Procedure:
+    def contract(
+        self, tilted: tuple[str, ...], heights_mm: tuple[float, ...], gray_frames: int, fringes_on_postures: bool
+    ) -> Procedure:
         """The procedure that these images followed, its periods the coarsest first."""
         said = self.procedure
         falling = sorted(zip(said.periods_px, said.steps, strict=True), reverse=True)
         steps = sorted(high - low for low, high in pairwise(heights_mm))
+        spans = falling[0][0] >= self.projector_shape[1]
         return Procedure(
             periods_px=tuple(period for period, _ in falling),
             steps=tuple(count for _, count in falling),
@@ -154,10 +163,13 @@ class ImageRigFile(BaseModel):
             planes=len(heights_mm),
             plane_step_mm=steps[len(steps) // 2] if steps else 0.0,
             exposure_share=1.0,
-            field_px=None if falling[0][0] >= self.projector_shape[1] else float(self.projector_shape[1]),
+            field_px=None if spans and not gray_frames else float(self.projector_shape[1]),
             start_rad=math.radians(said.start_deg),
             sign=said.sign,
             heights_mm=heights_mm,
+            gray_bits=gray_frames // 2 if said.gray_inverse else gray_frames,
+            gray_width_px=said.gray_width_px,
+            gray_inverse=said.gray_inverse,
             fringes_on_postures=fringes_on_postures,
             posture_names=tilted,
         )

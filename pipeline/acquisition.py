@@ -16,16 +16,16 @@ from .bundle_method import calibrate_by_bundle
 from .calibration import Calibration, Method
 from .calibration_data import CalibrationData
 from .camera_calibration import MIN_POSTURES, calibrate_camera
-from .decode import PhaseMap, decode
+from .decode import PhaseMap
 from .deconvolution import deconvolve_phasors
 from .exposure import auto_exposure, capture_bracketed
-from .fringes import FringeSet
 from .grey_variance import GreyVariance
 from .paper_method import calibrate_by_paper
 from .phase_height import MIN_PLANES
 from .phasor_filter import filter_phasors
 from .point_spread import estimate_point_spread
 from .reconstruct import PointMap, reconstruct
+from .sequence import decode_sequence, sequence_patterns
 from .spot_grid import MIN_SPOTS
 from .spots import BoardNotFound, Spots, detect_spots
 from .stage_free_method import calibrate_by_postures
@@ -280,20 +280,23 @@ def measure_phase(
 ) -> PhaseMap:
     """The phase map of one part, as `measure` takes it."""
     calibration.check_fits(rig.identity, rig.camera.shape)
-    fringes = calibration.fringes
-    frames, noise = capture_part(rig, placement, fringes.patterns(*rig.projector.shape), brackets)
+    patterns = sequence_patterns(calibration.procedure, rig.projector.shape)
+    frames, noise = capture_part(rig, placement, patterns, brackets)
     if frames.run == calibration.run and frames.serials.min() < calibration.exposures:
         raise InputError(
             f"exposure {frames.serials.min()} of run {frames.run!r} belongs to the calibration already: measure in a "
             "run of another name (--run)"
         )
-    return decode(frames, fringes, noise)
+    return decode_sequence(frames, calibration.procedure, noise)
 
 
 def capture_part(
     rig: Rig, placement: Placement, patterns: np.ndarray, brackets: Sequence[float] = (1.0,)
-) -> tuple[Frames, CameraNoise | GreyVariance]:
-    """Frames of ``patterns`` (frames, rows, cols) on a part, exposed and merged as `measure` does, and their noise."""
+) -> tuple[Frames, CameraNoise | GreyVariance | None]:
+    """Frames of ``patterns`` (frames, rows, cols) on a part, exposed and merged as `measure` does.
+
+    Beside them their noise, if anybody states it.
+    """
     rig.operator.place(placement)
     rig.stage.move_to_mm(0.0)
     auto_exposure(rig)
@@ -368,8 +371,7 @@ class _Acquirer:
         self._rig = rig
         self._unfinished = unfinished
         self._advance = advance
-        self._fringes = FringeSet.of(rig.procedure)
-        self._patterns = self._fringes.patterns(*rig.projector.shape)
+        self._patterns = sequence_patterns(rig.procedure, rig.projector.shape)
         self._exposure_us: float | None = None
         self._exposed = False  # for the printed side
         self._blank_side_up = False
@@ -442,4 +444,4 @@ class _Acquirer:
     def _capture(self) -> tuple[Frames, PhaseMap]:
         frames = self._rig.capture(self._patterns)
         self.exposures = int(frames.serials[-1]) + 1
-        return frames, decode(frames, self._fringes, self._rig.camera.noise)
+        return frames, decode_sequence(frames, self._rig.procedure, self._rig.camera.noise)

@@ -9,8 +9,8 @@ from greenough.instrument.errors import InputError
 from greenough.instrument.frame_figures import saturated
 from greenough.instrument.image_rig import ImageRig, Place
 
-from .decode import PhaseMap, decode
-from .fringes import FringeSet
+from .decode import PhaseMap
+from .sequence import decode_sequence
 from .spots import detect_spots
 
 LEAST_VALID = 0.5
@@ -81,7 +81,7 @@ def _check_place(rig: ImageRig, place: Place) -> ImageCheck:
             image = frames.stack[0] - np.float32(frames.black_level_dn)
         else:
             frames, names, order = rig.fringes(place)
-            phase_map = decode(frames, FringeSet.of(rig.procedure))
+            phase_map = decode_sequence(frames, rig.procedure)
             image, valid = phase_map.background, _valid_share(phase_map)
         count, clipped = len(frames.stack), float(saturated(frames).mean())
         if clipped > LARGEST_SATURATED_SHARE:

@@ -58,8 +58,8 @@ def detect_spots(image: np.ndarray, board: SpotBoard) -> Spots:
     The board may be turned, tilted, shifted, partly out of the picture or of the light, and unevenly lit; its grid
     must span between a third of the picture's width and all of it. Blobs brighter (or darker) than the middle of the
     *local* dark and bright levels are put into the board's order, then measured by
-    :func:`greenough.pipeline.spot_fit.fit_spots`. A spot whose picture is no ellipse (cut by the edge of the light, dirty), or whose size or place does not go with the
-    others, counts as unseen.
+    :func:`greenough.pipeline.spot_fit.fit_spots`. A spot whose picture is no ellipse (cut by the edge of the light,
+    dirty), or whose size or place does not go with the others, counts as unseen.
 
     Parameters
     ----------

@@ -24,7 +24,7 @@ from greenough.pipeline.acquisition import plane_heights
 from greenough.pipeline.fringes import FringeSet
 from greenough.pipeline.gray_code import stripe_patterns
 from greenough.twin.validation.studies import builtin_studies
-from image_folders import keep, save
+from image_folders import keep, keep_as_it_lies
 from plain_rig import PlainRig
 
 README = Path(__file__).parent.parent / "README.md"
@@ -111,9 +111,8 @@ def test_examples_run_in_the_order_of_the_page_and_the_commands_with_them(folder
     Path("own.toml").write_text(own, encoding="utf-8")
     with PlainRig() as rig:  # is in no way a twin
         keep(rig, Path(), plane_heights(rig))
-        rig.stage.move_to_mm(0.0)
         rig.operator.place(Placement("tilted plane"))
-        save(rig.capture(FringeSet.of(rig.procedure).patterns(2, 608)).stack, rig.procedure.steps, Path("part"))
+        keep_as_it_lies(rig, Path("part"))
 
     for line in lines:
         # The demo and the comparison of its files are run by twin/validation/test_demo.py; all artefacts take more than

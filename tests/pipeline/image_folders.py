@@ -4,10 +4,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
-import numpy as np
 
 from greenough.instrument.contract import BLANK, Placement, Rig
-from greenough.pipeline.fringes import FringeSet
+from greenough.pipeline.sequence import sequence_patterns
 
 RIG = """\
 name = "theirs"
@@ -65,27 +64,28 @@ def rig_file(rig: Rig) -> str:
 
 def keep(rig: Rig, folder: Path, heights_mm: Sequence[float]) -> None:
     """Capture postures, the flat one last, then planes, and write them: finest fringes first, heights in µm."""
-    patterns = FringeSet.of(rig.procedure).patterns(*rig.projector.shape)
-
-    def capture(to: Path) -> None:
-        save(rig.capture(patterns).stack, rig.procedure.steps, to)
-
     postures = rig.procedure.postures
     for k in range(postures):
         rig.operator.place(Placement("board", posture=k) if k < postures - 1 else Placement("board"))
         rig.stage.move_to_mm(0.0)
-        capture(folder / f"board/pose_{k + 1}")
+        keep_as_it_lies(rig, folder / f"board/pose_{k + 1}")
     rig.operator.place(Placement("board", face=BLANK))
     for height in (0.0, *heights_mm):
         rig.stage.move_to_mm(float(height))
-        capture(folder / f"planes/z{1000 * height:+.0f}")
+        keep_as_it_lies(rig, folder / f"planes/z{1000 * height:+.0f}")
+    rig.stage.move_to_mm(0.0)
 
 
-def save(stack: np.ndarray, steps: Sequence[int], folder: Path) -> None:
-    """Frames, the coarsest period first, under names that tell the period's number, the finest first, and the step."""
+def keep_as_it_lies(rig: Rig, folder: Path) -> None:
+    """One capture, under names that tell the period's number, the finest first, and the step; a Gray code's first."""
+    procedure = rig.procedure
+    frames = iter(rig.capture(sequence_patterns(procedure, rig.projector.shape)).stack)
+    names = [
+        f"shift{step + 1}_freq{len(procedure.steps) - number}.png"
+        for number, count in enumerate(procedure.steps)
+        for step in range(count)
+    ]
+    names += [f"bit{k + 1}.png" for k in range(procedure.gray_bits)]
     folder.mkdir(parents=True)
-    frames = iter(stack)
-    for number, count in enumerate(steps):
-        for step in range(count):
-            path = folder / f"shift{step + 1}_freq{len(steps) - number}.png"
-            assert cv2.imwrite(str(path), next(frames))
+    for name, frame in zip(names, frames, strict=True):
+        assert cv2.imwrite(str(folder / name), frame)

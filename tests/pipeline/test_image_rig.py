@@ -22,10 +22,10 @@ from greenough.instrument.contract import KnownUncertainty
 from greenough.instrument.errors import InputError
 from greenough.pipeline.acquisition import calibrate_by_methods, measure
 from greenough.pipeline.calibration import Calibration
-from greenough.pipeline.fringes import FringeSet
 from greenough.pipeline.method import Method
 from greenough.pipeline.point_cloud import read_cloud
-from image_folders import keep, rig_file, save
+from greenough.pipeline.sequence import sequence_patterns
+from image_folders import keep, keep_as_it_lies, rig_file
 from plain_rig import PROCEDURE, PlainRig
 
 HEIGHTS = tuple(k * 0.001 for k in (-1350, -1050, -750, -450, -150, 150, 450, 750, 1050, 1350))  # as names tell them
@@ -59,7 +59,7 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
     keep(fixed(), folder, HEIGHTS)
     rig = fixed(run="part")
     rig.operator.place(PART)
-    save(rig.capture(FringeSet.of(LISTED).patterns(*rig.projector.shape)).stack, LISTED.steps, folder / "part")
+    keep_as_it_lies(rig, folder / "part")
     (folder / "rig.toml").write_text(rig_file(rig))
     return folder
 
@@ -119,7 +119,7 @@ def test_other_periods_signs_starts_and_horizontal_fringes_give_the_same_places(
     keep(fixed(procedure=procedure), folder, ())
     rig = fixed(procedure=procedure, run="part")
     rig.operator.place(PART)
-    save(rig.capture(FringeSet.of(procedure).patterns(2, 608)).stack, procedure.steps, folder / "part")
+    keep_as_it_lies(rig, folder / "part")
     for path in folder.rglob("*.png"):
         to = turned / path.relative_to(folder)
         to.parent.mkdir(parents=True, exist_ok=True)
@@ -145,6 +145,22 @@ def test_other_periods_signs_starts_and_horizontal_fringes_give_the_same_places(
     assert np.isfinite(xyz).all(axis=-1).sum() == pytest.approx(both.sum(), rel=0.01)
     difference = np.abs(xyz - expected)[both]
     assert np.percentile(difference, 99) < 0.2e-3  # mm: the model's fields are not the same on their side
+
+
+def test_a_gray_code_tells_the_orders_of_one_period(tmp_path):
+    shown = {"periods_px": (20.0,), "steps": (5,), "field_px": 608.0, "gray_bits": 5}
+    procedure = replace(LISTED, planes=0, plane_step_mm=0.0, heights_mm=(), **shown)
+    keep(fixed(procedure=procedure), tmp_path, ())
+    text = rig_file(fixed(procedure=procedure)).partition("planes =")[0] + 'gray_frames = "0-4"\n'
+    (tmp_path / "rig.toml").write_text(text)
+    with fixed(procedure=procedure) as rig:
+        direct = calibrate_by_methods(rig, {"stage-free": tmp_path / "a.h5"}, "calibrate")["stage-free"]
+    with open_rig(tmp_path / "rig.toml", run="calibrate") as rig:
+        made = calibrate_by_methods(rig, {"stage-free": tmp_path / "b.h5"}, "calibrate")["stage-free"]
+    assert made.figures == direct.figures
+    assert made.figures["spot_phases_used"] > 200
+    assert made.camera == direct.camera
+    np.testing.assert_array_equal(made.phase_height.coefficients, direct.phase_height.coefficients)
 
 
 def test_white_pictures_of_the_board_are_enough_for_the_papers_method(theirs, direct, tmp_path):
@@ -318,7 +334,7 @@ def test_a_part_needs_its_frames_and_lies_as_it_lay(kept, direct, greenough):
 def test_only_what_was_projected_is_answered(kept):
     with open_rig(kept / "rig.toml") as rig:
         rig.operator.place(Placement("board"))
-        patterns = FringeSet.of(rig.procedure).patterns(*rig.projector.shape)
+        patterns = sequence_patterns(rig.procedure, rig.projector.shape)
         frames = rig.capture(patterns)
         assert frames.stack.flags.writeable
         assert rig.capture(patterns).serials[0] == frames.serials[-1] + 1

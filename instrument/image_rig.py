@@ -138,7 +138,7 @@ class ImageRig:
         )
 
     def fringes(self, place: Place) -> tuple[Frames, tuple[str, ...], str]:
-        """The frames of a place, fringes from the coarsest period on, then a Gray code; their names, and why this order.
+        """The frames of a place, the coarsest fringes first, a Gray code last; their names, and why this order.
 
         Raises InputError as `capture`.
         """

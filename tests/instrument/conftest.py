@@ -4,6 +4,7 @@ import hashlib
 import itertools
 from collections.abc import Callable, Iterator
 from importlib import resources
+from pathlib import Path
 from typing import Self
 
 import numpy as np
@@ -175,6 +176,30 @@ def small_uvc(
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(hardware_rig, "open_uvc_camera", open_substituted)
         yield lambda: open_rig(path, [setting for setting in overrides if "genicam" not in setting])
+
+
+IMAGES = """
+name = "few"
+driver = "images"
+camera = { rows = 12, cols = 16, bits = 8, black_level_dn = 4.0 }
+projector = { rows = 6, cols = 8 }
+board = { rows = 3, cols = 3, pitch_mm = 0.65, small_diameter_mm = 0.3, size_mm = 2.0 }
+procedure = { periods_px = [8.0], steps = [4] }
+uncertainty = { board_scale_ppm = 30.0, table_drift_um = 0.5, path_drift_um = 0.05 }
+[images]
+postures = "board{}.npy"
+planes = "z{}.npy"
+plane_step_mm = 0.5
+"""
+
+
+@pytest.fixture
+def image_folder(tmp_path: Path) -> Path:
+    """Two postures, planes at -0.5, 0 and 0.5 mm and a part, four frames each of its own grey value; a rig file."""
+    for k, name in enumerate(("board1", "board2", "z-1", "z0", "z1", "part")):
+        np.save(tmp_path / f"{name}.npy", np.full((4, 12, 16), 10 * (k + 1), np.uint8))
+    (tmp_path / "rig.toml").write_text(IMAGES)
+    return tmp_path
 
 
 @pytest.fixture(params=[FakeRig, small_twin, "small_wire", "small_uvc"], ids=["fake", "twin", "wire", "uvc"])

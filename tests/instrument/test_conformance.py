@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from greenough.instrument import open_rig
 from greenough.instrument.contract import Placement, Rig
 from greenough.instrument.errors import InputError
 from greenough.instrument.recording import record
@@ -161,6 +162,22 @@ def test_every_recording_and_its_replay(
     with record(open_some_rig(), tmp_path / "rig.h5") as rig:
         claim(rig)
     with open_recording(tmp_path / "rig.h5") as rig:
+        claim(rig)
+
+
+# What images keep of it: their exposure is one, and nothing but what was projected once can be captured. That each
+# capture has frames of its own, in order and numbered on, is claimed in test_image_rig.py.
+OF_IMAGES = [
+    says_who_it_is,
+    refuses_an_exposure_outside_its_limits_and_keeps_the_last,
+    refuses_a_position_outside_its_limits_and_stays,
+    moves_where_it_is_sent,
+]
+
+
+@pytest.mark.parametrize("claim", OF_IMAGES, ids=lambda claim: claim.__name__)
+def test_a_rig_of_images(claim: Callable[[Rig], None], image_folder: Path) -> None:
+    with open_rig(image_folder / "rig.toml") as rig:
         claim(rig)
 
 

@@ -13,7 +13,7 @@ from greenough.instrument.packets import packed
 
 from .acquisition import capture_part
 from .fringes import FringeSet
-from .grey_variance import GreyVariance, camera_variance
+from .grey_variance import GreyVariance, camera_variance, estimate_variance
 from .jit import Float
 from .unwrap import is_modulated, order_is_safe
 
@@ -85,6 +85,9 @@ def preview(rig: Rig, placement: Placement, fringes: FringeSet, brackets: Sequen
     saturated = frames.stack.max(axis=0) >= frames.full_scale_dn
     stack = np.where(np.isfinite(frames.stack), frames.stack, 0).astype(np.float32)  # merged ones are infinite there
     modulation, mean = modulation_maps(stack[1:], frames.black_level_dn)
+    if noise is None:
+        shown = FringeSet((fringes.periods[-1],), (_STEPS,), field=rig.projector.shape[1])
+        noise = estimate_variance(frames.stack[1:], shown, frames.black_level_dn, frames.full_scale_dn)
     if isinstance(noise, CameraNoise):
         noise = camera_variance(noise, quantised=frames.stack.dtype.kind == "u")
     weak = ~saturated & ~_is_enough(modulation, mean, noise, fringes)

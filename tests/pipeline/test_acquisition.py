@@ -231,8 +231,8 @@ def test_too_few_postures_are_refused_before_the_planes_and_can_be_laid_again(tm
 def test_too_few_phases_at_spots_are_refused_before_the_planes_and_only_by_the_bundle(tmp_path, monkeypatch):
     measured = acquisition.measure_spot_phases
 
-    def mostly_dark(phase_map, spots):
-        phases = measured(phase_map, spots)
+    def mostly_dark(phase_map, spots, dark):
+        phases = measured(phase_map, spots, dark)
         return replace(phases, sigma_rad=np.where(np.arange(len(phases.sigma_rad)) < 5, phases.sigma_rad, np.nan))
 
     monkeypatch.setattr(acquisition, "measure_spot_phases", mostly_dark)

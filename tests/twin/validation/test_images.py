@@ -18,7 +18,7 @@ COARSE = (
 
 
 def test_a_coin_from_images_is_the_coin_that_the_rig_measures(tmp_path: Path):
-    """Other exposures, set by hand, and noise that nobody stated: both differ by what both state, no more and no less."""
+    """Other exposures, set by hand, and noise that nobody stated: both differ by what both state, not more or less."""
     with open_rig("twin", COARSE, run="theirs") as rig:
         rig.camera.exposure_us = 70_000
         keep(rig, tmp_path, ())

@@ -23,6 +23,7 @@ _PHASE_MAP = {
     "residual": ("rad", "largest residual of the fringe order"),
     "sigma": ("rad", "standard deviation of the absolute phase by noise"),
 }
+_BRIGHTNESS = ("DN", "brightness of the pixel above the black level")
 _CAUSES = {"noise": "noise", "calibration": "the calibration and drifts"}
 
 
@@ -34,13 +35,15 @@ def phase_map_dataset(phase_map: "PhaseMap") -> "Dataset":
 
 
 def point_map_dataset(point_map: "PointMap") -> "Dataset":
-    """x, y and z over row and col, with their standard uncertainties as far as these are known.
+    """x, y and z over row and col, with their standard uncertainties and brightness as far as these are known.
 
     NaN where there is no point. Raises InputError where xarray is not installed.
     """
     known = {"noise": point_map.noise_mm is not None, "calibration": point_map.uncertainty is not None}
     sigmas = {cause: getattr(point_map, f"sigma_{cause}") for cause, is_known in known.items() if is_known}
     variables = _points(_PIXEL, point_map.xyz, sigmas)
+    if point_map.intensity is not None:
+        variables["intensity"] = (_PIXEL, point_map.intensity, *_BRIGHTNESS)
     return _dataset(variables, _pixel_coordinates(point_map.valid.shape), {"title": "point map"})
 
 
@@ -53,6 +56,11 @@ def point_cloud_dataset(cloud: "PointCloud") -> "Dataset":
     variables = _points(("point",), cloud.xyz, {cause: sd for cause, sd in sigmas.items() if sd is not None})
     if cloud.smooth is not None:
         variables["smooth"] = ("point", cloud.smooth, "1", "whether the surface is smooth over the optical resolution")
+    if cloud.intensity is not None:
+        variables["intensity"] = ("point", cloud.intensity, *_BRIGHTNESS)
+    if cloud.normals is not None:
+        for k, axis in enumerate("xyz"):
+            variables[f"n{axis}"] = ("point", cloud.normals[:, k], "1", f"{axis} of the unit normal")
     pixels = {} if cloud.pixels is None else {name: cloud.pixels[:, k] for k, name in enumerate(_PIXEL)}
     coordinates = {name: ("point", of_points, "px", f"{name} of the camera") for name, of_points in pixels.items()}
     return _dataset(variables, coordinates, {"title": "point cloud", **cloud.facts})

@@ -1,6 +1,7 @@
 """Results as xarray Datasets: the same numbers, each with its unit."""
 
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -69,6 +70,19 @@ def test_a_cloud_has_pixels_for_coordinates_and_its_facts_for_attributes():
     assert float(seen.z[0]) == points.xyz[2, 3, 2]
     assert dataset.attrs["sample"] == "coin"
     assert bool(dataset.smooth.all())
+
+
+def test_brightness_and_normals_are_there_as_far_as_known():
+    light = np.arange(12, dtype=np.float32).reshape(SHAPE)
+    dataset = replace(point_map(), intensity=light).to_xarray()
+    check_labels(dataset)
+    np.testing.assert_array_equal(dataset.intensity, light)
+    normals = np.array([[0, 0, 1], [0.6, 0, 0.8]], np.float32)
+    dataset = PointCloud(np.zeros((2, 3)), intensity=light[0, :2], normals=normals).to_xarray()
+    check_labels(dataset)
+    np.testing.assert_array_equal(dataset.intensity, light[0, :2])
+    np.testing.assert_array_equal(np.stack([dataset.nx, dataset.ny, dataset.nz], axis=-1), normals)
+    assert dataset.intensity.attrs["units"] == "DN"
 
 
 def test_netcdf_takes_every_dataset_and_gives_it_back(tmp_path):

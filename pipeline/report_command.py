@@ -1,7 +1,7 @@
 """The verb ``report``."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -24,6 +24,10 @@ def report(
     mesh: Annotated[
         Path | None, typer.Argument(metavar="[MESH]", help="What a cloud should lie on: PLY, STL or OBJ, in mm.")
     ] = None,
+    align: Annotated[
+        Literal["none", "rigid", "similarity"],
+        typer.Option("--align", help="Motion of the points before comparing, as of `greenough compare`."),
+    ] = "none",
     out: Annotated[Path, typer.Option("--out", metavar="FILE.html", help="The page to write.")] = Path("report.html"),
     png: Annotated[
         Path | None, typer.Option("--png", metavar="FOLDER", help="Where the figures go as PNG too, for papers.")
@@ -38,7 +42,7 @@ def report(
     from .report.results import page_of
 
     with progress(1, f"reporting on {result}", quiet=as_json) as advance:
-        page = page_of(result, mesh, for_papers=png is not None)
+        page = page_of(result, mesh, for_papers=png is not None, align=align)
         write_page(out, page, png)
         advance(1)
     shown = {"report": out, "bytes": out.stat().st_size, "surfaces": len(page.surfaces)}

@@ -84,7 +84,7 @@ def cloud_figures(
             ("all points" if counts is None else "smooth", "not smooth"),
         )  # fmt: skip
         caption += (
-            " Error: z less that of the mesh's uppermost surface on the same (x, y), unaligned; colours end at the "
+            " Error: z less that of the mesh's uppermost surface on the same (x, y); colours end at the "
             "99th percentile."
         )
     sigmas = [(name, values, 1) for name, values in layers.items() if name.startswith("σ")]

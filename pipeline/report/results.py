@@ -3,6 +3,7 @@
 import json
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import numpy as np
 from greenough.instrument.errors import InputError
 
 from ..calibration import Calibration
-from ..compare import Surface, error_row, vertical_errors
+from ..compare import Alignment, Surface, error_row, fit_motion, vertical_errors
 from ..point_cloud import Mesh, PointCloud, read_cloud, read_mesh
 from . import calibration_figures
 from .cloud_figures import cloud_figures
@@ -26,7 +27,7 @@ MOST_JSON = 1 << 24
 _TREATED = ("-deconvolved",)  # of a demo's clouds, the one that is shown instead of the raw one
 
 
-def page_of(result: Path, mesh: Path | None, for_papers: bool) -> Page:
+def page_of(result: Path, mesh: Path | None, for_papers: bool, align: Alignment = "none") -> Page:
     """The page of a result.
 
     Parameters
@@ -37,6 +38,8 @@ def page_of(result: Path, mesh: Path | None, for_papers: bool) -> Page:
         What a cloud should lie on.
     for_papers : bool
         Whether panels are drawn as PNG too.
+    align : "none", "rigid" or "similarity"
+        Motion of a cloud's points before they are compared, as in `compare`.
 
     Raises
     ------
@@ -46,10 +49,13 @@ def page_of(result: Path, mesh: Path | None, for_papers: bool) -> Page:
     if not result.exists():
         raise InputError(f"there is no {result}: give a cloud (.ply), a calibration (.h5), a table (.json) or a folder")
     kind = "folder" if result.is_dir() else result.suffix.lower()
+    if mesh is None and align != "none":
+        raise InputError(f"--align {align} needs a mesh that the points of {result} are laid on: name it")
     if mesh is not None and kind != ".ply":
         raise InputError(f"{result} is no cloud (.ply), and only clouds are compared with a mesh: leave {mesh} out")
     if kind == ".ply":
-        return cloud_page(result.name, read_cloud(result), None if mesh is None else read_mesh(mesh), for_papers)
+        nominal = None if mesh is None else read_mesh(mesh)
+        return cloud_page(result.name, read_cloud(result), nominal, for_papers, align)
     if kind in (".h5", ".hdf5"):
         return calibration_page(result.name, Calibration.load(result), for_papers)
     if kind == ".json":
@@ -61,9 +67,9 @@ def page_of(result: Path, mesh: Path | None, for_papers: bool) -> Page:
     )
 
 
-def cloud_page(name: str, cloud: PointCloud, mesh: Mesh | None, for_papers: bool) -> Page:
+def cloud_page(name: str, cloud: PointCloud, mesh: Mesh | None, for_papers: bool, align: Alignment = "none") -> Page:
     """Heights, errors against a mesh, uncertainties, and the surface itself."""
-    section, view = _cloud_section(name, "surface", cloud, mesh, for_papers)
+    section, view = _cloud_section(name, "surface", cloud, mesh, for_papers, align)
     return Page(f"Measured points: {name}", _written(), [section], [view], surfaces_before=0)
 
 
@@ -129,12 +135,14 @@ def folder_page(folder: Path, for_papers: bool) -> Page:
 
 
 def _cloud_section(
-    name: str, stem: str, cloud: PointCloud, mesh: Mesh | None, for_papers: bool
+    name: str, stem: str, cloud: PointCloud, mesh: Mesh | None, for_papers: bool, align: Alignment = "none"
 ) -> tuple[Section, SurfaceView]:
     tables = [facts_table({"points": len(cloud.xyz), **cloud.facts}, "What the file says of itself")]
     layers = {}
     if mesh is not None:
-        errors = vertical_errors(cloud.xyz, Surface.of(mesh))
+        surface = Surface.of(mesh)
+        motion = np.eye(4) if align == "none" else fit_motion(cloud.xyz, surface, scale=align == "similarity")
+        errors = vertical_errors(cloud.xyz @ motion[:3, :3].T + motion[:3, 3], surface)
         layers["error"] = 1e3 * errors
         selections = {"all points": np.ones(len(errors), dtype=bool)}
         if cloud.smooth is not None:
@@ -146,7 +154,7 @@ def _cloud_section(
             for which, row in rows.items()
         }
         tables.insert(0, facts_table(facts, "Errors against the mesh"))
-    note = f"Filter: {cloud.facts.get('filter', 'not stated')}; alignment: none."
+    note = f"Filter: {cloud.facts.get('filter', 'not stated')}; alignment: {align}."
     if cloud.smooth is not None:  # with the other layers it comes onto the same grid
         layers["smooth"] = cloud.smooth.astype(np.float32)
     view = view_of_cloud(name, cloud, layers, note)
@@ -227,4 +235,4 @@ def _rows(path: Path, rows: list[Any]) -> list[Mapping[str, Any]]:
 
 
 def _written() -> str:
-    return f"Written {datetime.now(UTC):%Y-%m-%d %H:%M UTC}."
+    return f"Written {datetime.now(UTC):%Y-%m-%d %H:%M UTC} by greenough {version('greenough')}."

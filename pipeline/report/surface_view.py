@@ -158,7 +158,7 @@ def payload(view: SurfaceView) -> dict[str, Any]:
     exaggeration = np.clip(_EXAGGERATED * 2 * width / (top - bottom), 1, 100)
     lowest, highest = colours.ends(z)
     return {
-        "note": view.note + (f" Every {step}th pixel of each row and column." if step > 1 else ""),
+        "note": view.note + (f" Shown is one pixel of {step} x {step}." if step > 1 else ""),
         "rows": rows,
         "cols": cols,
         "row0": view.origin[0] + window[0].start,

@@ -281,7 +281,7 @@
     const at = gl && programOf(gl);
     byId("no-webgl").hidden = Boolean(gl);
     const known = new Map();
-    let surface, layer, picture, section, camera = { ...START }, stride = 1, moved = -1e9, pending = 0, moving = 1, whole = 0;
+    let surface, layer, picture, section, camera = { ...START }, stride = 1, moved = -1e9, pending = 0, moving = 1, whole = 0, points = [];
 
     const exaggeration = () => 10 ** Number(stretch.value);
     const number = (value, digits) => value.toFixed(digits).replace("-", "−");
@@ -381,7 +381,8 @@
 
     function drawSection() {
       const ends = sectionEnds(surface, section.at, section.angle);
-      plot(profile, profileOf(surface, layer, ends), `${layer.name} (${layer.unit})`);
+      points = profileOf(surface, layer, ends);
+      plot(profile, points, `${layer.name} (${layer.unit})`);
       const i = section.at[1] * surface.cols + section.at[0], z = valueAt(surface.layers[0], i);
       const [x, y] = placeAt(surface, ...section.at, Number.isNaN(z) ? surface.z_middle : z);
       const turn = Math.round((section.angle * 180) / Math.PI);
@@ -560,6 +561,15 @@
       camera = { ...START };
       stretch.value = Math.log10(surface.exaggeration);
       redraw();
+    });
+    byId("save").addEventListener("click", () => { // for other programs: points as before, separated by commas
+      const rows = points.filter(([, value]) => !Number.isNaN(value)).map((row) => row.map((x) => x.toFixed(5)).join(","));
+      const link = document.createElement("a");
+      const text = [`along the section (mm),${layer.name} (${layer.unit})`, ...rows, ""].join("\n");
+      link.href = URL.createObjectURL(new Blob([text], { type: "text/csv" }));
+      link.download = "section.csv";
+      link.click();
+      URL.revokeObjectURL(link.href);
     });
     new ResizeObserver(() => surface && draw()).observe(box);
     show(Number(choose.value)).then(() => (box.dataset.ready = "yes"));

@@ -43,6 +43,8 @@ class PlaneNoise:
         Predicted for one exposure, mm.
     xy : (rows, cols, 2) float32
         Where the points of the first exposure lie, mm; NaN without a point.
+    phase : (rows, cols) or None
+        Absolute phase of the first exposure, rad.
     """
 
     raw: np.ndarray
@@ -52,6 +54,7 @@ class PlaneNoise:
     noise: float
     filtered_noise: float
     xy: np.ndarray
+    phase: np.ndarray | None = None
 
 
 def measure_plane(setups: Sequence[Setup]) -> list[PlaneNoise]:
@@ -73,6 +76,7 @@ def _plane_noise(setup: Setup, first: PhaseMap, second: PhaseMap, smoother: Phas
         noise=rms(setup.height_sigma(first)[np.isfinite(raw)]),
         filtered_noise=rms(setup.height_sigma(smoother)[np.isfinite(raw)]),
         xy=one.xyz[..., :2].astype(np.float32),
+        phase=first.absolute,
     )
 
 

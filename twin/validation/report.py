@@ -98,6 +98,12 @@ def plane_section(plane: PlaneNoise, filter_name: str, for_papers: bool) -> Sect
     panels: list[Panel] = []
     raw, filtered = 1e3 * plane.raw, 1e3 * plane.filtered
     row, reach = paper_line(len(raw)), colours.reach(raw)
+    if plane.phase is not None:
+        phase = np.where(np.isfinite(raw), plane.phase, np.nan)
+        map_panel(
+            panels, "plane-phase", "absolute phase", phase, "phase (rad)", colours.HEIGHT, *colours.ends(phase, 99.9),
+            for_papers, rows=[row],
+        )  # fmt: skip
     for values, which in ((raw, "unfiltered"), (filtered, "filtered")):
         limit = colours.reach(values)
         map_panel(

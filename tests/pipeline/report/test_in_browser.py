@@ -153,13 +153,25 @@ def test_colour_and_exaggeration_change_what_is_drawn_and_the_bar_has_its_unit(b
         assert opened.complaints == []
 
 
+def test_a_section_is_saved_for_other_programs(browser, dome):
+    with Opened(browser, dome) as opened:
+        with opened.tab.expect_download() as started:
+            opened.tab.click("#save")
+        lines = started.value.path().read_text().splitlines()
+        assert started.value.suggested_filename == "section.csv"
+        assert lines[0] == "along the section (mm),height (mm)"
+        saved = np.array([[float(word) for word in line.split(",")] for line in lines[1:]])
+        np.testing.assert_array_equal(saved, plotted(opened.tab))
+        assert opened.complaints == []
+
+
 def test_all_can_be_done_by_keys(browser, dome):
     with Opened(browser, dome) as opened:
         reached = []
-        for _ in range(12):
+        for _ in range(13):
             opened.tab.keyboard.press("Tab")
             reached.append(opened.tab.evaluate("document.activeElement.id"))
-        wanted = ["surface", "layer", "stretch", "direction", "from-above", "reset", "space", "map"]
+        wanted = ["surface", "layer", "stretch", "direction", "from-above", "reset", "save", "space", "map"]
         assert [name for name in reached if name in wanted] == wanted
         before = opened.tab.locator("#space").screenshot()
         opened.tab.focus("#space")

@@ -81,6 +81,18 @@ def test_a_cloud_has_heights_uncertainties_and_against_a_mesh_its_errors(tmp_pat
     assert panels(page_of(cloud, None, for_papers=False)) == names - {"surface-error", "surface-error-histogram"}
 
 
+def test_a_cloud_is_laid_on_its_mesh_where_asked(tmp_path):
+    cloud, mesh = write_part(tmp_path, lift_um=50.0)
+    page = page_of(cloud, mesh, for_papers=False, align="rigid")
+    assert "smooth bias 0.00 µm, RMSE 0.00 µm" in " ".join(words(page).split()).replace("−", "").replace("-", "")
+    assert "alignment: rigid." in page.surfaces[0].note
+
+
+def test_an_alignment_without_a_mesh_is_refused(tmp_path, capsys):
+    assert report(write_part(tmp_path)[0], "--align", "rigid", "--out", tmp_path / "page.html") == 2
+    assert "needs a mesh" in " ".join(capsys.readouterr().err.split())
+
+
 def test_a_calibration_has_the_papers_figures_8_to_10_and_its_planes_and_uncertainty(tmp_path, calibration):
     calibration().save(tmp_path / "cal.h5")
     page = page_of(tmp_path / "cal.h5", None, for_papers=False)

@@ -75,7 +75,7 @@ def test_a_grid_with_too_many_points_is_thinned_and_says_so(monkeypatch):
     shown = payload(SurfaceView("s", camera_points(), note="As it is."))
     assert shown["rows"] * shown["cols"] <= 4000
     assert shown["pixel_step"] == 2
-    assert shown["note"] == "As it is. Every 2th pixel of each row and column."
+    assert shown["note"] == "As it is. Shown is one pixel of 2 x 2."
 
 
 def test_a_cloud_without_pixels_is_laid_on_a_grid_of_x_and_y():

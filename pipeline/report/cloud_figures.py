@@ -8,6 +8,7 @@ from . import colours
 from .figures import FAINT, FIRST, Panel, graph, histogram
 from .map_panels import map_panel
 from .page import Figure
+from .tables import fixed
 
 
 def height_panel(
@@ -41,7 +42,7 @@ def error_panels(
     with graph(
         panels,
         f"{stem}-error-histogram",
-        f"bias {mean:.2f} µm, RMSE {rms(judged):.2f} µm",
+        f"bias {fixed(mean, 2)} µm, RMSE {fixed(rms(judged), 2)} µm",
         "",
         "",
         "Histogram of the errors",

@@ -18,7 +18,7 @@ from . import calibration_figures
 from .cloud_figures import cloud_figures
 from .page import Figure, Page, Section
 from .surface_view import SurfaceView, view_of_cloud
-from .tables import Table, acceptance_table, claims_table, facts_table, is_as_expected
+from .tables import Table, acceptance_table, claims_table, facts_table, fixed, is_as_expected, text_of
 
 CLAIMS_FILE = "claims.json"
 MOST_JSON = 1 << 24
@@ -149,8 +149,8 @@ def _cloud_section(
             selections["smooth"] = cloud.smooth
         rows = {which: error_row("vertical", which, errors[chosen]) for which, chosen in selections.items()}
         facts = {
-            f"vertical error, {which}": f"bias {row.bias_um:.2f} µm, RMSE {row.rmse_um:.2f} µm, "
-            f"95 % within {row.p95_um:.2f} µm, largest {row.max_um:.1f} µm, n = {row.n}"
+            f"vertical error, {which}": f"bias {fixed(row.bias_um, 2)} µm, RMSE {row.rmse_um:.2f} µm, "
+            f"95 % within {row.p95_um:.2f} µm, largest {row.max_um:.1f} µm, n = {text_of(row.n)}"
             for which, row in rows.items()
         }
         tables.insert(0, facts_table(facts, "Errors against the mesh"))

@@ -66,6 +66,11 @@ def text_of(value: Any, depth: int = 3) -> str:
     return str(value)
 
 
+def fixed(value: float, digits: int) -> str:
+    """A number with so many decimals and a true minus; – for NaN."""
+    return "–" if value != value else f"{value:.{digits}f}".replace("-", MINUS)
+
+
 def unit_of(unit: Any) -> str:
     """A unit as it is printed: ``um`` is µm, and 1 is nothing."""
     return {"um": "µm", "1": ""}.get(str(unit), str(unit))

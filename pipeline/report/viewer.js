@@ -304,6 +304,7 @@
       section.at = section.at.map(Math.round);
       map.width = surface.cols;
       map.height = surface.rows;
+      map.style.maxWidth = `${(31 * surface.cols) / surface.rows}rem`; // no higher than the view beside it
       if (gl) {
         const shape = [surface.cols, surface.rows, 0, gl.RED_INTEGER, gl.UNSIGNED_SHORT];
         upload(gl, 0, gl.NEAREST, gl.R16UI, ...shape, surface.layers[0].codes);

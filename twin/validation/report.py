@@ -25,7 +25,7 @@ from greenough.pipeline.report.map_panels import map_panel
 from greenough.pipeline.report.page import Figure, Page, Section, write_page
 from greenough.pipeline.report.results import CLAIMS_TEXT, calibration_sections, summary_of_claims
 from greenough.pipeline.report.surface_view import Layer, SurfaceView, error_layer, uncertainty_layer
-from greenough.pipeline.report.tables import Cell, Row, Table, claims_table, facts_table, text_of
+from greenough.pipeline.report.tables import Cell, Row, Table, claims_table, facts_table, fixed, text_of
 
 from .claims import Claim, environment
 from .noise import PlaneNoise, paper_line
@@ -183,8 +183,8 @@ def board_section(board: MeasuredBoard, setup: Setup, for_papers: bool) -> Secti
         axes.set(xlabel=f"distance less {nominal:g} mm (µm)", ylabel="pairs")
         axes.axvline(0, color=FAINT, linewidth=0.8, linestyle=(0, (4, 3)))
     caption = (
-        f"Spots of the calibration's board in a posture that it has not seen; heights from {low:.2f} to {high:.2f} mm. "
-        f"Links are red where neighbours are farther apart than {nominal:g} mm and blue where they are nearer, in full "
+        f"Spots of the calibration's board in a posture that it has not seen; heights from {fixed(low, 2)} to {fixed(high, 2)} mm. "
+        f"Links are red where neighbours are farther apart than {nominal:g} mm and blue where nearer, in full "
         f"colour at {limit:.2f} µm; the print's own errors are in it. Phase averaged over each spot; no alignment."
     )
     return Section("Distances on the board", figures=[Figure(panels, caption)])
@@ -250,7 +250,7 @@ def section_of_balls(maps: SpecimenMaps, for_papers: bool) -> Figure:
         "Section through a row of balls",
         for_papers,
     ) as axes:
-        axes.plot(maps.xyz[row, :, 0], z[row], "o", color=FIRST, markersize=1.4, markeredgewidth=0)
+        axes.plot(maps.xyz[row, :, 0], z[row], "o", color=FIRST, markersize=1.8, markeredgewidth=0)
         room = 0.15 * (high - low)
         axes.set_ylim(low - room, high + room)
     error = 1e3 * (maps.balls_mm[:, 0] - maps.balls_mm[:, 1])
@@ -276,7 +276,7 @@ def ball_table(balls_mm: np.ndarray) -> Table:
         Row(
             [
                 Cell(str(k)),
-                *(Cell(text_of(round(1e3 * float(height), 2))) for height in (measured, true, measured - true)),
+                *(Cell(fixed(1e3 * float(height), 2)) for height in (measured, true, measured - true)),
             ]
         )
         for k, (measured, true) in enumerate(balls_mm)
@@ -288,8 +288,9 @@ def ball_table(balls_mm: np.ndarray) -> Table:
 def diaphragm_figure(states: Sequence[SpecimenMaps], for_papers: bool) -> Figure:
     """Profiles of all states along one row and one column: the paper's figure 15."""
     panels: list[Panel] = []
-    shown = f"row {PAPER_ROW} and column {PAPER_COL}"
-    row, col = (min(at, int(n) - 1) for at, n in zip((PAPER_ROW, PAPER_COL), states[0].height_mm.shape, strict=True))
+    row, col = (  # in a coarser picture the middle, where the paper's is not in it
+        at if at < n else n // 2 for at, n in zip((PAPER_ROW, PAPER_COL), states[0].height_mm.shape, strict=True)
+    )
     styles = (FIRST, THIRD, SECOND)
     low, high = colours.ends(np.concatenate([maps.height_mm.ravel() for maps in states]))
     room = 0.08 * (high - low)
@@ -311,8 +312,8 @@ def diaphragm_figure(states: Sequence[SpecimenMaps], for_papers: bool) -> Figure
             axes.set_ylim(low - room, high + 3.5 * room)
             axes.legend(loc="upper center", ncols=3)
     caption = (
-        f"The paper's {shown}, counted from the first of the first state's map. Filter: {states[0].filter}; no "
-        "alignment."
+        f"Row {row} and column {col}, counted from the first of the first state's map; the paper shows {PAPER_ROW} and "
+        f"{PAPER_COL}. Filter: {states[0].filter}; no alignment."
     )
     return Figure(panels, caption)
 

@@ -76,7 +76,7 @@ def test_a_cloud_has_heights_uncertainties_and_against_a_mesh_its_errors(tmp_pat
     assert {path.stem for path in figures.iterdir()} == names
     page = page_of(cloud, mesh, for_papers=False)
     told = " ".join(words(page).split())
-    assert "smooth bias 3.00 µm, RMSE 3.00 µm, 95 % within 3.00 µm, largest 3.0 µm, n = 2040" in told
+    assert "smooth bias 3.00 µm, RMSE 3.00 µm, 95 % within 3.00 µm, largest 3.0 µm, n = 2 040" in told
     assert [layer.name for layer in page.surfaces[0].layers] == ["error", "σ z by noise", "σ z by calibration"]
     assert panels(page_of(cloud, None, for_papers=False)) == names - {"surface-error", "surface-error-histogram"}
 

@@ -142,13 +142,13 @@ def test_balls_have_a_section_and_a_table_of_measured_and_true_heights(page):
     assert "Section through a row of balls" in pictures_of(text)
     row = re.findall(r'<td>(\d+)</td>((?:\s*<td class="number">[^<]*</td>)+)', text)
     cells = {ball: re.findall(">([^<]*)<", rest)[::2] for ball, rest in row}
-    assert cells == {"0": ["401.2", "400", "1.2"], "1": ["–", "410", "–"]}
+    assert cells == {"0": ["401.20", "400.00", "1.20"], "1": ["–", "410.00", "–"]}
 
 
 def test_the_diaphragms_states_share_the_papers_row_and_column(page):
     states = [maps(f"diaphragm-{state}") for state in ("concave", "equilibrated", "raised")]
     pictures = pictures_of(page(specimens=states))
-    row, column = pictures["Heights along image row 147"], pictures["Heights along image column 263"]
+    row, column = pictures["Heights along image row 124"], pictures["Heights along image column 232"]
     for state in ("concave", "equilibrated", "raised"):
         assert state in row
         assert state in column

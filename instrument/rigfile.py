@@ -134,8 +134,9 @@ class BoardSection(BaseModel):
 
     @property
     def nominal(self) -> SpotBoard:
-        fields = {name: getattr(self, name) for name in type(self).model_fields}
-        return SpotBoard(**fields | {"big_diameter_mm": self.big_diameter_mm or self.small_diameter_mm})
+        fields: dict[str, Any] = {name: getattr(self, name) for name in type(self).model_fields}
+        fields["big_diameter_mm"] = self.big_diameter_mm or self.small_diameter_mm
+        return SpotBoard(**fields)
 
 
 class ProcedureSection(BaseModel):

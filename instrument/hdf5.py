@@ -71,6 +71,18 @@ def read(path: str | Path, kind: str, version: int) -> Iterator[h5py.File]:
         yield file
 
 
+def kind_of(path: str | Path) -> str | None:
+    """What a file written by `create` says it is; None for any other file and where there is none."""
+    if not Path(path).is_file() or not _has_signature(Path(path)):
+        return None
+    try:
+        with h5py.File(path, "r") as file:
+            kind = file.attrs.get("kind")
+    except _UNREADABLE:
+        return None
+    return kind.decode(errors="replace") if isinstance(kind, bytes) else None
+
+
 def put(file: h5py.File, name: str, values: np.ndarray | str, units: str) -> None:
     """Write one dataset with its units ("1" for numbers without) and checksum."""
     if isinstance(values, str):

@@ -1,4 +1,4 @@
-"""The verbs of the pipeline: calibrate, measure, compare, export, decode, report."""
+"""The verbs of the pipeline: calibrate, measure, compare, export, decode, diagnose, report."""
 
 from dataclasses import asdict
 from pathlib import Path
@@ -11,6 +11,7 @@ from greenough.instrument.progress import progress
 from greenough.instrument.verbs import JsonOption, RigArgument, RunOption, SetOption, show
 
 from .decode_command import app as decode_app
+from .diagnose_command import app as diagnose_app
 from .method import Method
 from .report_command import ReportOption
 from .report_command import app as report_app
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer()
 app.add_typer(decode_app)
+app.add_typer(diagnose_app)
 app.add_typer(report_app)
 
 

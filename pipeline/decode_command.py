@@ -1,6 +1,7 @@
 """The verb ``decode``: frames from anybody's files to a phase map in one file."""
 
 from collections.abc import Sequence
+from itertools import accumulate
 from math import pi
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
@@ -83,27 +84,14 @@ def decode(
 
     from .decode import decode as decode_stack
 
-    given = _numbers(periods, "--periods", float)
-    given_steps = _numbers(steps, "--steps", int)
-    coarsest_first = sorted(range(len(given)), key=lambda k: -given[k])
-    if len(given) != len(given_steps):
-        raise InputError(f"--periods {periods} and --steps {steps}: give one number of steps for each period")
     if gray_frames is not None and field is None:
         raise InputError("--gray-frames: give --field as well, the number of lit columns")
-    fringes = FringeSet(
-        tuple(given[k] for k in coarsest_first),
-        tuple(given_steps[k] for k in coarsest_first),
-        field=field,
-        start=start_deg * pi / 180,
-        sign=sign,
-    )
+    fringes = fringe_set(periods, steps, field, sign, start_deg)
     if out.suffix != ".h5":
         raise InputError(f"phase map {out}: the name must end in .h5")
     files = read_frames(frames)
-    order, reason = _order(files, given, given_steps, fringe_frames, gray_frames)
+    order, reason = frames_in_order(files, periods, steps, fringe_frames, gray_frames)
     window = _gray(files, order, gray_frames, gray_inverse, gray_width or fringes.periods[-1])
-    starts = np.concatenate([[0], np.cumsum(given_steps)])
-    order = [order[n] for k in coarsest_first for n in range(starts[k], starts[k + 1])]
     phase_map = decode_stack(files.stack[order], fringes, window=window)
     with hdf5.create(out, KIND, VERSION) as file:
         file.attrs["periods_px"] = fringes.periods
@@ -126,6 +114,47 @@ def decode(
         },
         as_json,
     )
+
+
+def fringe_set(periods: str, steps: str, field: float | None, sign: int, start_deg: float) -> FringeSet:
+    """The fringes of these options, the coarsest first.
+
+    Raises
+    ------
+    InputError
+        If they are no numbers, or not as many of one as of the other, or cannot be decoded.
+    """
+    given, given_steps = _numbers(periods, "--periods", float), _numbers(steps, "--steps", int)
+    if len(given) != len(given_steps):
+        raise InputError(f"--periods {periods} and --steps {steps}: give one number of steps for each period")
+    coarsest_first = _coarsest_first(given)
+    return FringeSet(
+        tuple(given[k] for k in coarsest_first),
+        tuple(given_steps[k] for k in coarsest_first),
+        field=field,
+        start=start_deg * pi / 180,
+        sign=sign,
+    )
+
+
+def frames_in_order(
+    files: "FrameFiles", periods: str, steps: str, fringe_frames: str | None, gray_frames: str | None = None
+) -> tuple[list[int], str]:
+    """Numbers of the frames that show fringes, in the order of `fringe_set`, and why these.
+
+    Raises
+    ------
+    InputError
+        If they are not as many as the steps.
+    """
+    given, given_steps = _numbers(periods, "--periods", float), _numbers(steps, "--steps", int)
+    order, reason = _order(files, given, given_steps, fringe_frames, gray_frames)
+    ends = list(accumulate(given_steps))
+    return [order[n] for k in _coarsest_first(given) for n in range(ends[k] - given_steps[k], ends[k])], reason
+
+
+def _coarsest_first(periods: Sequence[float]) -> list[int]:
+    return sorted(range(len(periods)), key=lambda k: -periods[k])
 
 
 def _order(

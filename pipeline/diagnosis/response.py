@@ -1,0 +1,200 @@
+"""The projector's response from the fringes: harmonics, the gamma that they speak of, and what a correction gains.
+
+A pattern's grey v = (1 + cos ψ) / 2 that is shown as the light v^γ has the harmonics
+
+    h_k = B_k / B_1 = Π_(j=1)^(k-1) (γ - j) / (γ + 1 + j),
+
+so that the second one alone tells γ = (1 + 2 h_2) / (1 - h_2). cos kψ being the Chebyshev polynomial T_k(2v - 1), the
+harmonics are the response curve itself: f(v) = Σ h_k T_k(2v - 1). Blur lowers harmonics of fine fringes more than of
+wide ones; they are taken from the widest set that shows them.
+"""
+
+from collections.abc import Sequence as Many
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial import chebyshev
+from scipy.stats import norm
+
+from ..blas import on_one_thread
+from .finding import FALSE_ALARM, Finding, Yardstick
+from .sequence import FringeFit, Sequence, fit_fringes
+
+MIN_FRAMES = 4
+"""Of a set that shows a second harmonic."""
+
+_LEAST_SHARE = 0.5  # of the largest modulation's median that a set must have to speak
+
+
+@dataclass(frozen=True, eq=False)
+class Harmonics:
+    """Of the fringes of one set.
+
+    Parameters
+    ----------
+    period_px : float
+    ratios : (K,)
+        B_k / B_1 for k = 2, 3, ...: the part that is in phase with the fringes, as a response makes it.
+    sigma : (K,)
+        Their standard deviations.
+    """
+
+    period_px: float
+    ratios: np.ndarray
+    sigma: np.ndarray
+
+    @property
+    def gamma(self) -> float:
+        """Exponent of the power law with this second harmonic."""
+        return _gamma(float(self.ratios[0]))
+
+    def light(self, fit: FringeFit) -> np.ndarray:
+        """What the harmonics add to the fringes that were fitted, (N, pixels) DN."""
+        orders = range(2, 2 + len(self.ratios))
+        return sum(
+            (ratio * fit.modulation * np.cos(k * fit.angles) for k, ratio in zip(orders, self.ratios, strict=True)),
+            np.zeros_like(fit.residual),
+        )
+
+    def curve(self, grey: np.ndarray) -> np.ndarray:
+        """Light for patterns' grey values from 0 to 1, from 0 to 1 itself."""
+        series = np.concatenate([[0.0, 1.0], self.ratios])
+        dark, bright = chebyshev.chebval([-1.0, 1.0], series)
+        return (chebyshev.chebval(2 * np.asarray(grey) - 1, series) - dark) / (bright - dark)
+
+
+def power_harmonics(gamma: float, count: int) -> np.ndarray:
+    """h_1 to h_count of ((1 + cos ψ) / 2)^gamma."""
+    factors = [(gamma - j) / (gamma + 1 + j) for j in range(1, count)]
+    return np.cumprod([1.0, *factors])
+
+
+def _gamma(second: float) -> float:
+    return (1 + 2 * second) / (1 - second)
+
+
+@on_one_thread
+def measure_harmonics(fit: FringeFit, grey_variance: np.ndarray, period_px: float) -> Harmonics:
+    """By least squares over all pixels, beside what gains and shifts of single frames would do.
+
+    The residual's component at the k-th harmonic of the steps, turned back by k times the phase, is B_k in a response's
+    case. In four frames the second harmonic is its own mirror image, and only cos 2φ of it is seen.
+    """
+    n = len(fit.shifts)
+    highest = n // 2 if n % 2 == 0 and n <= 4 else (n - 1) // 2
+    ratios, sigmas = [], []
+    for k in range(2, highest + 1):
+        alone = 2 * k == n
+        component = (1 if alone else 2) / n * np.exp(-1j * k * fit.shifts) @ fit.residual
+        turned = np.exp(1j * k * fit.phase)
+        if alone:
+            basis = [np.cos(k * fit.phase), np.sin(k * fit.phase), np.cos(fit.phase), np.sin(fit.phase)]
+            design = np.stack([*(fit.modulation * each for each in basis), fit.background])
+            measured, variance = component.real, grey_variance / n
+        else:
+            design, measured, variance = fit.modulation[None], (component / turned).real, 2 * grey_variance / n
+        weight = 1 / np.sqrt(variance)
+        inverse = np.linalg.inv((design * weight**2) @ design.T)
+        solved = inverse @ (design * weight**2 @ measured)
+        excess = np.mean(((measured - solved @ design) * weight) ** 2)
+        ratios.append(solved[0])
+        sigmas.append(np.sqrt(inverse[0, 0] * max(excess, 1.0)))
+    return Harmonics(period_px, np.array(ratios), np.array(sigmas))
+
+
+def error_of_steps(ratios: np.ndarray, steps: int) -> float:
+    """Root mean square of the phase error that harmonics h_1, h_2, ... make with so many steps, rad."""
+    phase = np.linspace(0, 2 * np.pi, 360, endpoint=False)
+    seen = np.zeros(len(phase), dtype=complex)
+    for k, ratio in enumerate(ratios, start=1):
+        for order in (k, -k):
+            if (order - 1) % steps == 0:
+                seen += ratio * np.exp(1j * (order - 1) * phase)
+    return float(np.std(np.angle(seen)))
+
+
+def check_response(sequence: Sequence, yardstick: Yardstick) -> list[Finding]:
+    """A response that three steps, the fewest there are, would feel.
+
+    What it does to the phase as taken may be nothing, which many steps are for.
+    """
+    steps, periods = sequence.fringes.steps, sequence.fringes.periods
+    if len(sequence.pixels) == 0:
+        return []
+    modulation = [float(np.median(fit.modulation)) for fit in sequence.fits]
+    able = [k for k, n in enumerate(steps) if n >= MIN_FRAMES and modulation[k] > _LEAST_SHARE * max(modulation)]
+    if not able:
+        return []
+    of_sets = [measure_harmonics(sequence.fits[k], sequence.grey_variance, periods[k]) for k in able]
+    second, sigma = _second_harmonic(of_sets)
+    widest = of_sets[0]
+    power = power_harmonics(widest.gamma, 2 * max(steps) + 2)
+    three = error_of_steps(power_harmonics(_gamma(second), 4), 3)
+    if three < yardstick.least_rad or abs(second) < norm.isf(FALSE_ALARM / 2) * sigma:
+        return []
+    three, as_taken, gamma = error_of_steps(power, 3), error_of_steps(power, steps[-1]), widest.gamma
+    gain = correction_gain(sequence)
+    evidence: dict[str, float | str] = {
+        "gamma": gamma,
+        "second_harmonic": float(widest.ratios[0]),
+        "second_harmonic_sd": sigma,
+        "of_period_px": widest.period_px,
+        "three_steps_rad": three,
+    }
+    in_um = yardstick.um(three)
+    if in_um is not None:
+        evidence["three_steps_um"] = in_um
+    if gain is not None:
+        evidence["three_of_these_steps_rad"], evidence["three_of_these_steps_corrected_rad"] = gain
+    return [
+        Finding(
+            name="response",
+            where=sequence.where,
+            effect_rad=as_taken,
+            effect_um=yardstick.um(as_taken),
+            cause=f"the projector's light is not proportional to the patterns' grey: gamma {gamma:.3g}",
+            remedy=f"send 255 (grey / 255)^{1 / gamma:.3g} in place of every grey value (--lut-out writes the table), "
+            f"or switch the projector's gamma off; {steps[-1]} steps of the finest period leave {as_taken:.2g} rad "
+            f"of it, three would leave {three:.2g} rad",
+            evidence=evidence,
+        )
+    ]
+
+
+def correction_table(gamma: float) -> np.ndarray:
+    """(256,) uint8: what to send for each grey value so that the light is proportional to it."""
+    return np.rint(255 * (np.arange(256) / 255) ** (1 / gamma)).astype(np.uint8)
+
+
+def correction_gain(sequence: Sequence) -> tuple[float, float] | None:
+    """What three of the frames' own steps err by against all of them, rad: as they are, and without their harmonics.
+
+    The second is what patterns that are corrected leave, for light that is linear passes blur as it is; noise is in
+    both. None unless some set has a multiple of three frames, six or more.
+    """
+    able = [k for k, n in enumerate(sequence.fringes.steps) if n >= 6 and n % 3 == 0]
+    if not able:
+        return None
+    k = able[-1]
+    part, fit = sequence.fringes.slices[k], sequence.fits[k]
+    grey, shifts = sequence.grey[part], sequence.shifts[part]
+    harmonics = measure_harmonics(fit, sequence.grey_variance, sequence.fringes.periods[k])
+    return tuple(_three_step_error(each, shifts, fit.phase) for each in (grey, grey - harmonics.light(fit)))
+
+
+def _second_harmonic(of_sets: Many[Harmonics]) -> tuple[float, float]:
+    """Median over the sets, and its standard deviation: by noise, or by how the sets differ where that is more."""
+    second = np.array([each.ratios[0] for each in of_sets])
+    own = np.sqrt(np.mean([each.sigma[0] ** 2 for each in of_sets]))
+    between = np.std(second, ddof=1) if len(second) > 1 else 0.0
+    return float(np.median(second)), float(max(own, between) / np.sqrt(len(second)))
+
+
+def _three_step_error(grey: np.ndarray, shifts: np.ndarray, phase: np.ndarray) -> float:
+    third = len(shifts) // 3
+    squares = []
+    for first in range(third):
+        chosen = slice(first, None, third)
+        apart = fit_fringes(grey[chosen], shifts[chosen]).phase - phase
+        squares.append(np.angle(np.exp(1j * apart)) ** 2)
+    return float(np.sqrt(np.mean(squares)))

@@ -1,0 +1,30 @@
+"""Everything that one fringe sequence says about itself."""
+
+from .finding import Finding, Yardstick
+from .focus import check_focus_map
+from .frame_shifts import check_frames
+from .fringe_orders import check_orders
+from .light import check_light, check_saturation
+from .response import check_response
+from .sequence import Sequence
+from .swapped_frames import Order, find_order, order_finding, rearranged
+
+_IN_ORDER = (check_saturation, check_light, check_response, check_frames, check_orders, check_focus_map)
+
+
+def diagnose_sequence(sequence: Sequence, yardstick: Yardstick) -> list[Finding]:
+    """Findings of one capture, in no order."""
+    return findings_of(sequence, find_order(sequence), yardstick)
+
+
+def findings_of(sequence: Sequence, order: Order | None, yardstick: Yardstick) -> list[Finding]:
+    """The same where the order of its frames was looked for already.
+
+    Frames are put in order first, so that what a wrong order did is not found again under other names. Where a pattern
+    is missing, nothing else is looked for.
+    """
+    findings = [] if order is None else [order_finding(sequence, order, yardstick)]
+    sound = rearranged(sequence, order)
+    if sound is None:
+        return findings
+    return findings + [finding for check in _IN_ORDER for finding in check(sound, yardstick)]

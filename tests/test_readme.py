@@ -82,6 +82,7 @@ def test_examples_run_in_the_order_of_the_page_and_the_commands_with_them(folder
         "compare",
         "export",
         "decode",
+        "diagnose",
         "record",
         "replay",
         "report",

@@ -91,7 +91,7 @@ def check_boards(camera: CameraCalibration, board: SpotBoard, names: Many[str], 
     if len(known) < 4:
         return []
     findings = []
-    for k in known:
+    for k in map(int, known):
         others = known[known != k]
         # Weights of the others' coefficients: how exactly each is known.
         weight = errors[others] ** -2
@@ -121,21 +121,21 @@ def check_boards(camera: CameraCalibration, board: SpotBoard, names: Many[str], 
 def check_scales(calibration: Calibration, names: Many[str], yardstick: Yardstick) -> list[Finding]:
     """A posture whose residuals in a bundle with fringes grow with the distance from its middle."""
     residuals, centres = calibration.residuals.spots_px, calibration.residuals.centres_px
-    scales, errors, radii = [], [], []
+    scales, errors = [], []
     for residual, centre in zip(residuals, centres, strict=True):
         used = np.isfinite(residual[:, 0])
         if used.sum() < MIN_SHARED:
-            scales.append(np.nan), errors.append(np.nan), radii.append(np.nan)
+            scales.append(np.nan)
+            errors.append(np.nan)
             continue
         arm = (centre[used] - centre[used].mean(axis=0)).ravel()
         left = (residual[used] - residual[used].mean(axis=0)).ravel()
         scale = arm @ left / (arm @ arm)
         errors.append(np.sqrt(np.sum((left - scale * arm) ** 2) / (len(arm) - 3) / (arm @ arm)))
         scales.append(scale)
-        radii.append(np.sqrt(np.mean(arm**2)))
     findings = []
     size_mm = np.hypot(*(calibration.board.pitch_mm * np.array([calibration.board.rows, calibration.board.cols]))) / 4
-    for k in np.flatnonzero(np.isfinite(scales)):
+    for k in map(int, np.flatnonzero(np.isfinite(scales))):
         others = np.delete(np.array(scales), k)
         others = others[np.isfinite(others)]
         if len(others) < 4:

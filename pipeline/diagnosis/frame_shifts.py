@@ -6,8 +6,8 @@ px, all alike in all pixels, fringes leave over
     r_n = P [ g_n I_n - ε_n B sin(φ + θ_n) - δ_n · grad(ln A) I_n ],   I_n = A + B cos(φ + θ_n),
 
 P being the projection onto what fringes and background cannot explain. All of g, ε and δ are estimated together by
-least squares over the pixels. This is one step of the advanced iterative algorithm (Wang and Han, Opt. Lett. 29, 2004),
-with gains and motion added; one step suffices for shifts far below a step of the fringes. What is common to all frames,
+least squares over the pixels, and fringes and they in turn, as in the advanced iterative algorithm (Wang and Han, Opt.
+Lett. 29, 2004), here with gains and motion. What is common to all frames,
 and what a set of so few cannot show, is left at zero. Harmonics of a bent response are alike in all frames, and are
 subtracted before.
 """
@@ -20,11 +20,12 @@ from scipy.stats import chi2
 from ..blas import on_one_thread
 from .finding import FALSE_ALARM, Finding, Yardstick
 from .response import measure_harmonics
-from .sequence import FringeFit, Sequence
+from .sequence import FringeFit, Sequence, fit_fringes
 
 MIN_FRAMES = 5
 """Of a set: four show half of their shifts only."""
 
+_ITERATIONS = 3  # shifts are far below a step of the fringes
 _VISIBLE = 1e-6  # of the largest eigenvalue of the information
 
 
@@ -89,6 +90,21 @@ def frame_errors(fit: FringeFit, residual: np.ndarray, gradients: np.ndarray, gr
     return FrameErrors(gains, shifts, np.array(motion), covariance * max(left_over, 1.0))
 
 
+def refined_errors(sequence: Sequence, k: int) -> FrameErrors:
+    """Of the frames of the k-th set, estimated anew with fringes that were fitted with the shifts and gains before."""
+    part = sequence.fringes.slices[k]
+    grey, nominal = sequence.grey[part], sequence.shifts[part]
+    gains, shifts, motion = np.ones(len(nominal)), np.zeros(len(nominal)), np.zeros((2, len(nominal)))
+    for _ in range(_ITERATIONS):
+        moved = 1 - np.tensordot(motion, sequence.brightness_gradients, axes=(0, 0))
+        fit = fit_fringes(grey / (gains[:, None] * moved), nominal + shifts)
+        harmonics = measure_harmonics(fit, sequence.grey_variance, sequence.fringes.periods[k])
+        left = fit.residual - harmonics.light(fit)
+        errors = frame_errors(fit, left, sequence.brightness_gradients, sequence.grey_variance)
+        gains, shifts, motion = gains * (1 + errors.gains), shifts + errors.shifts_rad, motion + errors.motion_px
+    return FrameErrors(gains - 1, shifts, motion, errors.covariance)
+
+
 def check_frames(sequence: Sequence, yardstick: Yardstick) -> list[Finding]:
     """Vibration and flicker in the set that heights come from, if it has `MIN_FRAMES`; else in the one with most."""
     counts, periods = sequence.fringes.steps, sequence.fringes.periods
@@ -97,9 +113,8 @@ def check_frames(sequence: Sequence, yardstick: Yardstick) -> list[Finding]:
         return []
     fit, n = sequence.fits[k], counts[k]
     to_finest = periods[k] / periods[-1]
-    harmonics = measure_harmonics(fit, sequence.grey_variance, periods[k])
     gradients = sequence.brightness_gradients
-    errors = frame_errors(fit, fit.residual - harmonics.light(fit), gradients, sequence.grey_variance)
+    errors = refined_errors(sequence, k)
     by_gain, by_shift, *_ = _derivatives(fit, gradients)
     shift_sd = to_finest * _spread(errors.shifts_rad, np.diag(errors.covariance)[n : 2 * n])
     # Motion along the picture is let go: it acts where brightness changes, not on heights as a whole.

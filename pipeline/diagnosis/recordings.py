@@ -4,11 +4,11 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
-from greenough.instrument.contract import BLANK, PRINTED, Frames, Placement
+from greenough.instrument.contract import BLANK, PRINTED, Frames, Placement, Rig
 from greenough.instrument.errors import InputError
 from greenough.instrument.journal import Captured, patterns_sha256
 from greenough.instrument.replay import Replay, open_recording
@@ -214,8 +214,9 @@ def _is_calibration(replay: Replay, captures: list[int]) -> bool:
 
 def _calibrated(replay: Replay, orders: Mapping[int, Order]) -> Calibration:
     by_serial = {int(replay.frames(index).serials[0]): order for index, order in orders.items()}
+    rig = cast(Rig, _InOrder(open_recording(replay.path), by_serial))
     with TemporaryDirectory() as folder:
-        return calibrate(_InOrder(open_recording(replay.path), by_serial), Path(folder) / "calibration.h5", "diagnose")
+        return calibrate(rig, Path(folder) / "calibration.h5", "diagnose")
 
 
 def _refused(reason: str) -> Finding:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial import chebyshev
+from scipy.optimize import root_scalar
 from scipy.stats import norm
 
 from ..blas import on_one_thread
@@ -23,6 +24,7 @@ from .sequence import FringeFit, Sequence, fit_fringes
 MIN_FRAMES = 4
 """Of a set that shows a second harmonic."""
 
+_GAMMAS = 0.2, 5.0  # between which an exponent is looked for
 _LEAST_SHARE = 0.5  # of the largest modulation's median that a set must have to speak
 
 
@@ -33,6 +35,7 @@ class Harmonics:
     Parameters
     ----------
     period_px : float
+    steps : int
     ratios : (K,)
         B_k / B_1 for k = 2, 3, ...: the part that is in phase with the fringes, as a response makes it.
     sigma : (K,)
@@ -40,13 +43,26 @@ class Harmonics:
     """
 
     period_px: float
+    steps: int
     ratios: np.ndarray
     sigma: np.ndarray
 
     @property
     def gamma(self) -> float:
-        """Exponent of the power law with this second harmonic."""
-        return _gamma(float(self.ratios[0]))
+        """Exponent of the power law with this second harmonic.
+
+        Four steps take the third harmonic for a part of the fundamental, by which the second is divided: they show
+        h_2 (1 - 3/2 h_3), to first order in h_3.
+        """
+        second = float(self.ratios[0])
+
+        def excess(gamma: float) -> float:
+            _, h_2, h_3 = power_harmonics(gamma, 3)
+            return h_2 * (1 - 1.5 * h_3 * (self.steps == 4)) - second
+
+        if not excess(_GAMMAS[0]) < 0 < excess(_GAMMAS[1]):
+            return _gamma(second)
+        return float(root_scalar(excess, bracket=_GAMMAS).root)
 
     def light(self, fit: FringeFit) -> np.ndarray:
         """What the harmonics add to the fringes that were fitted, (N, pixels) DN."""
@@ -99,7 +115,7 @@ def measure_harmonics(fit: FringeFit, grey_variance: np.ndarray, period_px: floa
         excess = np.mean(((measured - solved @ design) * weight) ** 2)
         ratios.append(solved[0])
         sigmas.append(np.sqrt(inverse[0, 0] * max(excess, 1.0)))
-    return Harmonics(period_px, np.array(ratios), np.array(sigmas))
+    return Harmonics(period_px, n, np.array(ratios), np.array(sigmas))
 
 
 def error_of_steps(ratios: np.ndarray, steps: int) -> float:
@@ -179,7 +195,8 @@ def correction_gain(sequence: Sequence) -> tuple[float, float] | None:
     part, fit = sequence.fringes.slices[k], sequence.fits[k]
     grey, shifts = sequence.grey[part], sequence.shifts[part]
     harmonics = measure_harmonics(fit, sequence.grey_variance, sequence.fringes.periods[k])
-    return tuple(_three_step_error(each, shifts, fit.phase) for each in (grey, grey - harmonics.light(fit)))
+    linear = grey - harmonics.light(fit)
+    return _three_step_error(grey, shifts, fit.phase), _three_step_error(linear, shifts, fit.phase)
 
 
 def _second_harmonic(of_sets: Many[Harmonics]) -> tuple[float, float]:

@@ -85,7 +85,7 @@ class Sequence:
     @cached_property
     def saturated(self) -> np.ndarray:
         """(rows, cols) bool: some frame is at full scale."""
-        return (self.frames.stack >= self.frames.full_scale_dn).any(axis=0)
+        return np.any(self.frames.stack >= self.frames.full_scale_dn, axis=0)
 
     @cached_property
     def brightness(self) -> np.ndarray:

@@ -66,7 +66,7 @@ def find_order(sequence: Sequence) -> Order | None:
         return None
     judge = _Judge(sequence)
     given = judge.misfit(tuple(range(sequence.fringes.frame_count)))
-    if given < _NOTHING_LEFT:
+    if given < _NOTHING_LEFT or given == np.inf:
         return None
     orders = list(candidate_orders(sequence.fringes.frame_count))
     misfits = np.array([judge.misfit(order.shown) for order in orders])
@@ -125,19 +125,15 @@ class _Judge:
         self._fitted: dict[tuple, tuple[float, np.ndarray, np.ndarray]] = {}
 
     def misfit(self, shown: tuple[int, ...]) -> float:
-        """Mean square, in standard deviations of noise, per degree of freedom."""
+        """Mean square, in standard deviations of noise, per degree of freedom; infinite where none is left."""
         fringes = self._sequence.fringes
-        pattern = np.array(shown)
-        sets = []
-        for part in fringes.slices:
-            frames = np.flatnonzero((pattern >= part.start) & (pattern < part.stop))
-            sets.append(self._fit(tuple(frames), tuple(pattern[frames])))
-        total = sum(square for square, _, _ in sets)
-        freedom = sum(max(n - 3, 0) for n in fringes.steps)
+        members = [[n for n, k in enumerate(shown) if part.start <= k < part.stop] for part in fringes.slices]
+        sets = [self._fit(tuple(frames), tuple(shown[n] for n in frames)) for frames in members]
+        squares = [(square, len(fitted) - 3) for (square, _, _), fitted in zip(sets, members, strict=True)]
         if fringes.spans_field:
-            total += _disagreement(sets, fringes)
-            freedom += len(sets) - 1
-        return total / max(freedom, 1)
+            squares += [(square, 1) for square in _disagreements(sets, fringes)]
+        freedom = sum(max(each, 0) for _, each in squares)
+        return sum(square for square, _ in squares) / freedom if freedom else np.inf
 
     def _fit(self, frames: tuple[int, ...], shown: tuple[int, ...]) -> tuple[float, np.ndarray, np.ndarray]:
         """Mean square left over by one set, and its phases and their variances."""
@@ -145,8 +141,7 @@ class _Judge:
         if key not in self._fitted:
             s = self._sequence
             if len(frames) < 3:
-                nothing = np.zeros(len(s.pixels))
-                return 0.0, nothing, nothing + np.pi**2
+                return 0.0, np.full(len(s.pixels), np.nan), np.full(len(s.pixels), np.nan)
             fit = fit_fringes(s.grey[list(frames)], s.shifts[list(shown)])
             square = float(np.mean(np.sum(fit.residual**2, axis=0) / s.grey_variance))
             variance = 2 / len(frames) * s.grey_variance / np.maximum(fit.modulation, 1e-9) ** 2
@@ -154,16 +149,18 @@ class _Judge:
         return self._fitted[key]
 
 
-def _disagreement(sets: Many[tuple[float, np.ndarray, np.ndarray]], fringes: FringeSet) -> float:
-    """Sum over the steps of eq. 5 of the mean square of the fringe-order residual over its variance.
+def _disagreements(sets: Many[tuple[float, np.ndarray, np.ndarray]], fringes: FringeSet) -> list[float]:
+    """Of each step of eq. 5, the mean square of the fringe-order residual over its variance; none of lost sets.
 
     The coarsest phase is taken as it is: the few pixels beyond its wrap change no mean.
     """
     (_, phase, variance), *finer = sets
-    absolute, total = phase % (2 * np.pi), 0.0
+    absolute, squares = phase % (2 * np.pi), []
     for ratio, (_, own, own_variance) in zip(fringes.ratios[1:], finer, strict=True):
         turns = (ratio * absolute - own) / (2 * np.pi)
         apart = 2 * np.pi * (turns - np.rint(turns))
-        total += float(np.mean(apart**2 / (own_variance + ratio**2 * variance)))
+        if not (np.isfinite(phase).all() and np.isfinite(own).all()):
+            break
+        squares.append(float(np.mean(apart**2 / (own_variance + ratio**2 * variance))))
         absolute, variance = own + 2 * np.pi * np.rint(turns), own_variance
-    return total
+    return squares

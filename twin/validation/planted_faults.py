@@ -7,7 +7,7 @@ board that is exchanged, frames that come in another order, a glint. What is dia
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -205,9 +205,8 @@ def record_fault(
     planted = FAULTS[fault]
     rig, _ = open_twin("twin", [*settings, f"twin.seed={seed}", *planted.settings], f"diagnosed {fault}")
     rng = np.random.default_rng([seed, sorted(FAULTS).index(fault)])
-    with record(
-        FaultyRig(rig, planted.change(rng, rig), {} if seen is None or planted.settings else seen), path
-    ) as recorded:
+    kept = {} if seen is None or planted.settings else seen
+    with record(cast(Rig, FaultyRig(rig, planted.change(rng, rig), kept)), path) as recorded:
         if planted.calibrating:
             calibrate(recorded, path.with_suffix(".calibration.h5"))
             path.with_suffix(".calibration.h5").unlink()
@@ -275,3 +274,26 @@ class FaultyRig:
 
     def __exit__(self, *error: Any) -> None:
         self._rig.__exit__(*error)
+
+
+def outcome_table(outcomes: Sequence[Outcome]) -> str:
+    """Faults by seeds: the rank of the planted fault, ``-`` where it was not found, and the runner-up's name.
+
+    Of sound recordings, the number of findings. The last column counts what is as it should be.
+    """
+    seeds = sorted({outcome.seed for outcome in outcomes})
+    rows = [["fault", *map(str, seeds), "sound"]]
+    for fault in FAULTS:
+        of_fault = {outcome.seed: outcome for outcome in outcomes if outcome.fault == fault}
+        cells = [_cell(of_fault[seed]) if seed in of_fault else "" for seed in seeds]
+        rows.append([fault, *cells, str(sum(outcome.as_it_should for outcome in of_fault.values()))])
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    return "\n".join("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in rows)
+
+
+def _cell(outcome: Outcome) -> str:
+    wanted = FAULTS[outcome.fault].finding
+    others = [finding.name for finding in outcome.found if finding.name != wanted]
+    if not wanted:
+        return f"{len(outcome.found)}" + (f" ({others[0]})" if others else "")
+    return (str(outcome.rank) if outcome.rank else "-") + (f" ({others[0]})" if others else "")

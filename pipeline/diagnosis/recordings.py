@@ -137,8 +137,7 @@ class _Faces:
 
     def findings(self, yardstick: Yardstick) -> Iterator[Finding]:
         readings = np.array(self.readings_mm)
-        moved = np.flatnonzero(np.r_[False, np.diff(readings) != 0]) if len(readings) else np.empty(0, dtype=int)
-        if len(moved) == 0:
+        if len(set(readings)) < 2:
             return
         common = np.isfinite(self.contrasts).all(axis=0)
         if common.any():
@@ -146,10 +145,10 @@ class _Faces:
             sigma = float(np.median(self.sigmas_rad))
             yield from check_focus_range(readings, contrasts, sigma, "planes", yardstick)
         if len(self.heights_mm) == len(readings):
-            planes = np.array(self.heights_mm)[moved]  # the first is not one of the calibration's planes
+            planes = np.array(self.heights_mm[1:])  # before them the blank side is shown at stage position 0
             seen = np.isfinite(planes).all(axis=0)
             if seen.any():
-                yield from check_stage(readings[moved], planes[:, seen].mean(axis=1), yardstick)
+                yield from check_stage(readings[1:], planes[:, seen].mean(axis=1), yardstick)
 
 
 @dataclass(frozen=True)

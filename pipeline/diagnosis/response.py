@@ -51,14 +51,13 @@ class Harmonics:
     def gamma(self) -> float:
         """Exponent of the power law with this second harmonic.
 
-        Four steps take the third harmonic for a part of the fundamental, by which the second is divided: they show
-        h_2 (1 - 3/2 h_3), to first order in h_3.
+        What sets of few steps show for it is not quite h_2, see `_seen_second`.
         """
         second = float(self.ratios[0])
 
         def excess(gamma: float) -> float:
             _, h_2, h_3 = power_harmonics(gamma, 3)
-            return h_2 * (1 - 1.5 * h_3 * (self.steps == 4)) - second
+            return _seen_second(h_2, h_3, self.steps) - second
 
         if not excess(_GAMMAS[0]) < 0 < excess(_GAMMAS[1]):
             return _gamma(second)
@@ -87,6 +86,22 @@ def power_harmonics(gamma: float, count: int) -> np.ndarray:
 
 def _gamma(second: float) -> float:
     return (1 + 2 * second) / (1 - second)
+
+
+def _seen_second(h_2: float, h_3: float, steps: int) -> float:
+    """What so many steps show for a second harmonic.
+
+    Four take the third for a part of the fundamental, by which the second is divided and its phase is turned back:
+    h_2 (1 - 3/2 h_3), to first order in h_3. Three show it as an error of the phase, over the phase that has it.
+    """
+    if steps == 4:
+        return h_2 * (1 - 1.5 * h_3)
+    if steps > 4:
+        return h_2
+    phase = np.linspace(0, 2 * np.pi, 120, endpoint=False)
+    error = np.angle(1 + h_2 * np.exp(-3j * phase))
+    seen = np.sin(3 * (phase + error))
+    return float(-(seen @ error) / (seen @ seen))
 
 
 @on_one_thread
@@ -118,6 +133,41 @@ def measure_harmonics(fit: FringeFit, grey_variance: np.ndarray, period_px: floa
     return Harmonics(period_px, n, np.array(ratios), np.array(sigmas))
 
 
+def harmonics_of_three(sequence: Sequence) -> list[Harmonics]:
+    """Second harmonics of sets of three steps, from how their phases disagree; none where orders are not a chain's.
+
+    Three steps take the second harmonic for a part of the fundamental: the phase is off by -h_2 sin 3φ. Two sets are
+    off at different places, so that the fringe-order residual K Φ_c - φ_f of eq. 5 holds both errors, told apart by
+    least squares. What gains of single frames do goes with φ and 2φ and is estimated beside. Below, each set's phase
+    carries the error that is looked for, which costs a share h_2 of it.
+    """
+    fringes, fits = sequence.fringes, sequence.fits
+    if not fringes.spans_field or set(fringes.steps) != {3}:
+        return []
+    absolute = fits[0].phase - fringes.start
+    absolute %= 2 * np.pi
+    found = []
+    for k, ratio in enumerate(fringes.ratios[1:], start=1):
+        coarse, fine = fits[k - 1].phase, fits[k].phase
+        own = fine - fringes.start
+        turns = (ratio * absolute - own) / (2 * np.pi)
+        residual = 2 * np.pi * (turns - np.rint(turns))
+        columns = [wave(j * phase) for j in (3, 2, 1) for wave in (np.sin, np.cos) for phase in (fine, coarse)]
+        design = np.column_stack([*columns, np.ones(len(residual))])
+        weight = 1 / np.sqrt(
+            2 / 3 * sequence.grey_variance * (fits[k].modulation ** -2.0 + ratio**2 * fits[k - 1].modulation ** -2.0)
+        )
+        weighted = design * weight[:, None]
+        inverse = np.linalg.pinv(weighted.T @ weighted)
+        solved = inverse @ weighted.T @ (residual * weight)
+        excess = max(float(np.mean((weight * (residual - design @ solved)) ** 2)), 1.0)
+        for column, scale, period in ((0, 1.0, fringes.periods[k]), (1, -ratio, fringes.periods[k - 1])):
+            sigma = np.sqrt(inverse[column, column] * excess) / abs(scale)
+            found.append(Harmonics(period, 3, np.array([solved[column] / scale]), np.array([sigma])))
+        absolute = own + 2 * np.pi * np.rint(turns)
+    return sorted(found, key=lambda each: -each.period_px)
+
+
 def error_of_steps(ratios: np.ndarray, steps: int) -> float:
     """Root mean square of the phase error that harmonics h_1, h_2, ... make with so many steps, rad."""
     phase = np.linspace(0, 2 * np.pi, 360, endpoint=False)
@@ -139,9 +189,11 @@ def check_response(sequence: Sequence, yardstick: Yardstick) -> list[Finding]:
         return []
     modulation = [float(np.median(fit.modulation)) for fit in sequence.fits]
     able = [k for k, n in enumerate(steps) if n >= MIN_FRAMES and modulation[k] > _LEAST_SHARE * max(modulation)]
-    if not able:
-        return []
     of_sets = [measure_harmonics(sequence.fits[k], sequence.grey_variance, periods[k]) for k in able]
+    if not of_sets:
+        of_sets = harmonics_of_three(sequence)
+    if not of_sets:
+        return []
     second, sigma = _second_harmonic(of_sets)
     widest = of_sets[0]
     power = power_harmonics(widest.gamma, 2 * max(steps) + 2)

@@ -1,4 +1,4 @@
-"""Claims about the verb: it tells kinds of input apart, says what it found, and ends with the code that goes with it."""
+"""Claims about the verb: it tells kinds of input apart, says what it found, and exits with the code that says so."""
 
 import json
 from importlib.metadata import entry_points

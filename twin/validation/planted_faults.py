@@ -7,14 +7,14 @@ board that is exchanged, frames that come in another order, a glint. What is dia
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Literal, cast
 
 import numpy as np
 
 from greenough.instrument.contract import BLANK, Frames, Placement, Rig
 from greenough.instrument.journal import patterns_sha256
 from greenough.instrument.recording import record
-from greenough.pipeline.acquisition import calibrate
+from greenough.pipeline.acquisition import calibrate, plane_heights
 from greenough.pipeline.diagnosis.finding import Finding, worst_first
 from greenough.pipeline.diagnosis.recordings import diagnose_recording
 from greenough.pipeline.exposure import auto_exposure
@@ -22,12 +22,14 @@ from greenough.pipeline.fringes import FringeSet
 
 from ..rig import open as open_twin
 
-COARSE = (
-    "camera.rows=240", "camera.cols=320", "twin.optics.camera_focal_px=5670.75", "twin.render.nodes=16",
-    "board.small_diameter_mm=0.3", "board.big_diameter_mm=0.5", "procedure.postures=8", "procedure.planes=12",
-    "procedure.plane_step_mm=0.25",
+COARSE = ("camera.rows=240", "camera.cols=320", "twin.optics.camera_focal_px=5670.75", "twin.render.nodes=16")
+"""The whole field in coarse pixels."""
+
+COARSE_CALIBRATION = (
+    "camera.rows=360", "camera.cols=480", "twin.optics.camera_focal_px=8506.125", "board.small_diameter_mm=0.3",
+    "board.big_diameter_mm=0.5", "procedure.postures=8", "procedure.planes=12", "procedure.plane_step_mm=0.25",
 )  # fmt: skip
-"""A whole field in coarse pixels, and a short calibration."""
+"""The same with pixels in which spots are found, and a short calibration."""
 
 SLIP_MM = 0.05
 DEFOCUS_MM = 1.0
@@ -62,8 +64,9 @@ class Fault:
     ----------
     finding : str
         Name of the finding; empty for none.
-    calibrating : bool
-        Whether it is planted in a calibration, or in measurements.
+    shown : str
+        In what it is planted: ``"parts"``, a plane and a coin; ``"planes"``, the board's blank side at the heights of a
+        calibration; ``"calibration"``.
     settings : tuple of str
         Of the twin.
     change : callable
@@ -71,7 +74,7 @@ class Fault:
     """
 
     finding: str
-    calibrating: bool
+    shown: Literal["parts", "planes", "calibration"]
     settings: tuple[str, ...] = ()
     change: Change = lambda rng, rig: Changes()
 
@@ -106,13 +109,16 @@ def _glint(rng: np.random.Generator, rig: Rig) -> Changes:
 
 
 def _slip(rng: np.random.Generator, rig: Rig) -> Changes:
-    """From one of the planes on; the last one alone would be no jump but a wrong reading."""
+    """On the way up, before one of the planes; before the last it would be no slip but one wrong reading."""
     planes, step = rig.procedure.planes, rig.procedure.plane_step_mm
     first = (int(rng.integers(2, planes - 1)) - (planes - 1) / 2 - 0.5) * step
+    moves: list[float] = []
 
     def height(placement: Placement | None, position: float) -> float:
-        blank = placement is not None and placement.face == BLANK
-        return position + SLIP_MM * (blank and position > first)
+        if placement is None or placement.face != BLANK:
+            return position
+        moves.append(position)
+        return position + SLIP_MM * (position > first and min(moves) < first)
 
     return Changes(height=height)
 
@@ -134,15 +140,20 @@ def _defocus(rng: np.random.Generator, rig: Rig) -> Changes:
 
 
 FAULTS: Mapping[str, Fault] = {
-    "clean measurement": Fault("", False),
-    "clean calibration": Fault("", True),
-    "gamma 1.8": Fault("response", False, ("twin.optics.gamma=1.8",)),
-    "saturated highlight": Fault("saturation", False, (), _glint),
-    "two frames swapped": Fault("frame order", False, (), _swapped),
-    "vibration of 3 um": Fault("vibration", False, ("twin.stability.vibration_um=3",)),
-    "stage slip of 50 um": Fault("stage slip", True, (), _slip),
-    "one posture of another board": Fault("another board", True, (), _other_board),
-    "defocus of 1 mm": Fault("defocus", True, ("stage.min_mm=-3", "stage.max_mm=3"), _defocus),
+    "clean measurement": Fault("", "parts"),
+    "clean calibration": Fault("", "calibration"),
+    "gamma 1.8": Fault("response", "parts", ("twin.optics.gamma=1.8",)),
+    "saturated highlight": Fault("saturation", "parts", (), _glint),
+    "two frames swapped": Fault("frame order", "parts", (), _swapped),
+    "vibration of 3 um": Fault("vibration", "parts", ("twin.stability.vibration_um=3",)),
+    "stage slip of 50 um": Fault("stage slip", "calibration", (), _slip),
+    "one posture of another board": Fault("another board", "calibration", (), _other_board),
+    "defocus of 1 mm": Fault(
+        "defocus",
+        "planes",
+        ("stage.min_mm=-3", "stage.max_mm=3", "procedure.planes=12", "procedure.plane_step_mm=0.25"),
+        _defocus,
+    ),
 }
 
 
@@ -179,9 +190,7 @@ def diagnosed(fault: str, seed: int, path: Path) -> Outcome:
     return Outcome(fault, seed, names.index(wanted) + 1 if wanted in names else 0, found)
 
 
-def record_fault(
-    fault: str, seed: int, path: Path, seen: dict[tuple, Frames] | None = None, settings: Sequence[str] = COARSE
-) -> None:
+def record_fault(fault: str, seed: int, path: Path, seen: dict[tuple, Frames] | None = None) -> None:
     """Record a calibration, or measurements of a plane and a coin, with this fault.
 
     Parameters
@@ -194,8 +203,6 @@ def record_fault(
         The recording to write.
     seen : dict, optional
         Captures of faults of the same seed without settings of their own: what is seen again is not rendered again.
-    settings : sequence of str
-        Of the twin.
 
     Raises
     ------
@@ -203,20 +210,25 @@ def record_fault(
         If the twin cannot be calibrated.
     """
     planted = FAULTS[fault]
+    settings = COARSE_CALIBRATION if planted.shown == "calibration" else COARSE
     rig, _ = open_twin("twin", [*settings, f"twin.seed={seed}", *planted.settings], f"diagnosed {fault}")
     rng = np.random.default_rng([seed, sorted(FAULTS).index(fault)])
     kept = {} if seen is None or planted.settings else seen
     with record(cast(Rig, FaultyRig(rig, planted.change(rng, rig), kept)), path) as recorded:
-        if planted.calibrating:
+        if planted.shown == "calibration":
             calibrate(recorded, path.with_suffix(".calibration.h5"))
             path.with_suffix(".calibration.h5").unlink()
             return
         fringes = FringeSet(recorded.procedure.periods_px, recorded.procedure.steps)
-        for part in ("plane", "coin"):
-            recorded.operator.place(Placement(part))
+        patterns = fringes.patterns(*recorded.projector.shape)
+        planes = planted.shown == "planes"
+        for placement in [Placement("board", face=BLANK)] if planes else [Placement("plane"), Placement("coin")]:
+            recorded.operator.place(placement)
             recorded.stage.move_to_mm(0.0)
             auto_exposure(recorded)
-            recorded.capture(fringes.patterns(*recorded.projector.shape))
+            for height in plane_heights(recorded) if planes else [0.0]:
+                recorded.stage.move_to_mm(float(height))
+                recorded.capture(patterns)
 
 
 class FaultyRig:
@@ -257,7 +269,13 @@ class FaultyRig:
 
     def capture(self, patterns: np.ndarray) -> Frames:
         """As a rig does."""
-        state = (self._laid, self._height, self._rig.camera.exposure_us, patterns_sha256(patterns))
+        state = (
+            self._rig.camera.shape,
+            self._laid,
+            self._height,
+            self._rig.camera.exposure_us,
+            patterns_sha256(patterns),
+        )
         if state not in self._seen:
             self._seen[state] = self._rig.capture(patterns)
         serials = self._serial + np.arange(len(patterns))

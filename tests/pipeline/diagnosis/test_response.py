@@ -65,5 +65,10 @@ def test_patterns_sent_through_the_table_are_linear():
     np.testing.assert_allclose((table / 255.0) ** 1.8, np.arange(256) / 255, atol=0.004)
 
 
-def test_three_steps_alone_show_no_harmonic_within_their_set(taken):
-    assert check_response(taken(fringes=FringeSet((608, 152, 40), (3, 3, 3)), gamma=1.0), SCALE) == []
+@pytest.mark.parametrize("gamma", [1.4, 1.8])
+def test_sets_of_three_steps_tell_by_how_their_phases_disagree(taken, gamma):
+    fringes = FringeSet((608, 152, 40, 12), (3, 3, 3, 3))
+    (finding,) = check_response(taken(fringes=fringes, gamma=gamma), SCALE)
+    assert finding.evidence["gamma"] == pytest.approx(gamma, rel=0.03)
+    assert finding.effect_um == pytest.approx(163 * error_of_steps(power_harmonics(gamma, 8), 3), rel=0.2)
+    assert [check_response(taken(fringes=fringes, seed=seed), SCALE) for seed in range(10)] == [[]] * 10

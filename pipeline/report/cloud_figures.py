@@ -8,7 +8,16 @@ from . import colours
 from .figures import FAINT, FIRST, Panel, graph, histogram
 from .map_panels import map_panel
 from .page import Figure
+from .surface_view import BRIGHTNESS
 from .tables import fixed
+
+
+def picture_panel(panels: list[Panel], stem: str, light: np.ndarray, origin: tuple[int, int], for_papers: bool) -> None:
+    """The camera's picture (rows, cols), DN above black."""
+    map_panel(
+        panels, f"{stem}-picture", "camera's picture", light, "DN above black", colours.LIGHT, 0.0,
+        max(colours.ends(light, 99.5)[1], 1.0), for_papers, origin=origin,
+    )  # fmt: skip
 
 
 def height_panel(
@@ -76,6 +85,8 @@ def cloud_figures(
 ) -> list[Figure]:  # fmt: skip
     """The figures of a cloud on its grid, (rows, cols, 3) mm, with its layers of errors and uncertainties in µm."""
     panels: list[Panel] = []
+    if BRIGHTNESS in layers:
+        picture_panel(panels, stem, layers[BRIGHTNESS], origin, for_papers)
     height_panel(panels, stem, xyz[..., 2], origin, for_papers)
     caption = "Every point as it was measured, in the calibrated frame."
     if "error" in layers:

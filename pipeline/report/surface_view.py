@@ -19,6 +19,9 @@ MOST_POINTS = 1_400_000
 HEIGHT_STEP_MM = 1e-4
 """Heights are rounded to 0.1 µm, far below the noise, or coarser where the range would need more than 16 bits."""
 
+BRIGHTNESS = "brightness"
+"""The layer of a cloud's light."""
+
 _CODES = 65534
 _LEVELS = 128  # between the ends of the colours of a layer that is no height
 _SAMPLE = 5_000  # points that x and y are fitted to
@@ -93,10 +96,10 @@ def view_of_cloud(
 ) -> SurfaceView:
     """A cloud on the grid of its pixels, or binned to a regular grid of x and y where it does not know them.
 
-    ``layers`` are errors (n,) in µm of the cloud's points; their uncertainties come by themselves. InputError if points
-    lie so far apart that nothing would be seen.
+    ``layers`` are errors (n,) in µm of the cloud's points; their uncertainties and brightness come by themselves.
+    InputError if points lie so far apart that nothing would be seen.
     """
-    values = {key: np.asarray(each, dtype=np.float32) for key, each in (layers or {}).items()}
+    errors = {key: np.asarray(each, dtype=np.float32) for key, each in (layers or {}).items()}
     sigmas = {"σ z by noise": cloud.noise_mm, "σ z by calibration": cloud.calibration_mm}
     sigmas = {key: (1e3 * sd[:, 2]).astype(np.float32) for key, sd in sigmas.items() if sd is not None}
     places, origin, shape, step = _places(cloud)
@@ -106,8 +109,11 @@ def view_of_cloud(
         grid[places[:, 0], places[:, 1]] = each
         return grid
 
-    made = [error_layer(gridded(each), key) for key, each in values.items()]
+    made = [error_layer(gridded(each), key) for key, each in errors.items()]
     made += [uncertainty_layer(key, gridded(each)) for key, each in sigmas.items()]
+    if cloud.intensity is not None:
+        values = gridded(cloud.intensity.astype(np.float32))
+        made.append(Layer(BRIGHTNESS, "DN", values, 0.0, max(colours.ends(values, 99.5)[1], 1.0), colours.LIGHT, 0))
     if step:
         note = f"{note} The points know no pixels: shown is one of each cell of {1e3 * step:.3g} µm.".strip()
     return SurfaceView(name, gridded(cloud.xyz), made, note, origin)

@@ -11,7 +11,7 @@ from matplotlib import colormaps
 from matplotlib.collections import LineCollection
 
 from greenough.pipeline.report import calibration_figures, colours
-from greenough.pipeline.report.cloud_figures import error_panels, height_panel, rms, uncertainty_panels
+from greenough.pipeline.report.cloud_figures import error_panels, height_panel, picture_panel, rms, uncertainty_panels
 from greenough.pipeline.report.figures import (
     FAINT,
     FIRST,
@@ -185,8 +185,8 @@ def board_section(board: MeasuredBoard, setup: Setup, for_papers: bool) -> Secti
     caption = (
         f"Spots of the calibration's board in a posture that it has not seen; heights from {fixed(low, 2)} to "
         f"{fixed(high, 2)} mm. Links are red where neighbours are farther apart than {nominal:g} mm and blue where "
-        f"they are nearer, in full colour at {limit:.2f} µm; the print's own errors are in it. Phase averaged over "
-        "each spot; no alignment."
+        f"they are nearer, in full colour at {limit:.2f} µm; the print's own errors are in it. Phase averaged over each "
+        "spot; no alignment."
     )
     return Section("Distances on the board", figures=[Figure(panels, caption)])
 
@@ -209,11 +209,7 @@ def specimen_figure(maps: SpecimenMaps, for_papers: bool) -> Figure:
     """Picture, height, error and uncertainty: the paper's figures 13 to 15, and what it could not show."""
     panels: list[Panel] = []
     stem = maps.stem
-    bright = max(colours.ends(maps.background, 99.5)[1], 1.0)
-    map_panel(
-        panels, f"{stem}-picture", "camera's picture", maps.background, "DN above black", colours.LIGHT, 0.0, bright,
-        for_papers, origin=maps.origin,
-    )  # fmt: skip
+    picture_panel(panels, stem, maps.background, maps.origin, for_papers)
     height_panel(panels, stem, maps.height_mm, maps.origin, for_papers)
     error_panels(panels, stem, maps.error_um, maps.smooth, maps.origin, for_papers, ("smooth", "not smooth"))
     sigmas = [

@@ -38,7 +38,9 @@ def write_part(folder: Path, name: str = "part", lift_um: float = 3.0) -> tuple[
     xyz = np.stack([0.1 * u - 3, 2 - 0.1 * v, np.full(u.shape, 1e-3 * lift_um)], axis=-1).reshape(-1, 3)
     pixels = np.stack([v.ravel(), u.ravel()], axis=-1)
     sigma = np.full(xyz.shape, 2e-3, np.float32)
-    cloud = PointCloud(xyz, pixels, pixels[:, 0] > 5, sigma, sigma / 5, {"filter": "none", "specimen": name})
+    facts = {"filter": "none", "specimen": name}
+    light = pixels[:, 1].astype(np.float32)
+    cloud = PointCloud(xyz, pixels, pixels[:, 0] > 5, sigma, sigma / 5, intensity=light, facts=facts)
     write_cloud(folder / f"{name}.ply", cloud)
     corners = np.array([[-9.0, -9, 0], [9, -9, 0], [9, 9, 0], [-9, 9, 0]])
     write_mesh(folder / f"{name}-truth.ply", Mesh(corners, np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)))
@@ -72,12 +74,14 @@ def test_a_cloud_has_heights_uncertainties_and_against_a_mesh_its_errors(tmp_pat
     printed = json.loads(capsys.readouterr().out)
     assert printed["surfaces"] == 1
     assert printed["bytes"] == out.stat().st_size
-    names = {"surface-height", "surface-error", "surface-error-histogram", "surface-sigma-0", "surface-sigma-1"}
+    parts = ("picture", "height", "error", "error-histogram", "sigma-0", "sigma-1")
+    names = {f"surface-{part}" for part in parts}
     assert {path.stem for path in figures.iterdir()} == names
     page = page_of(cloud, mesh, for_papers=False)
     told = " ".join(words(page).split())
     assert "smooth bias 3.00 µm, RMSE 3.00 µm, 95 % within 3.00 µm, largest 3.0 µm, n = 2 040" in told
-    assert [layer.name for layer in page.surfaces[0].layers] == ["error", "σ z by noise", "σ z by calibration"]
+    shown = [layer.name for layer in page.surfaces[0].layers]
+    assert shown == ["error", "σ z by noise", "σ z by calibration", "brightness"]
     assert panels(page_of(cloud, None, for_papers=False)) == names - {"surface-error", "surface-error-histogram"}
 
 

@@ -185,8 +185,8 @@ def board_section(board: MeasuredBoard, setup: Setup, for_papers: bool) -> Secti
     caption = (
         f"Spots of the calibration's board in a posture that it has not seen; heights from {fixed(low, 2)} to "
         f"{fixed(high, 2)} mm. Links are red where neighbours are farther apart than {nominal:g} mm and blue where "
-        f"they are nearer, in full colour at {limit:.2f} µm; the print's own errors are in it. Phase averaged over each "
-        "spot; no alignment."
+        f"they are nearer, in full colour at {limit:.2f} µm; the print's own errors are in it. Phase averaged over "
+        "each spot; no alignment."
     )
     return Section("Distances on the board", figures=[Figure(panels, caption)])
 

@@ -55,6 +55,7 @@ def diagnose(
     Exit code 0 if nothing was found, 1 if something was.
     """
     from greenough.instrument import hdf5
+    from greenough.instrument.frame_files import read_frames
     from greenough.instrument.journal import KIND as RECORDING
 
     from .calibration import KIND as CALIBRATION
@@ -64,7 +65,6 @@ def diagnose(
     from .diagnosis.recordings import count_sequences, diagnose_recording
     from .diagnosis.sequence import sequence_of
     from .diagnosis.sequences import diagnose_sequence
-    from .frame_files import read_frames
 
     loaded = None if calibration is None else Calibration.load(calibration)
     kind = hdf5.kind_of(files[0]) if len(files) == 1 else None

@@ -9,7 +9,8 @@ from .response import check_response
 from .sequence import Sequence
 from .swapped_frames import Order, find_order, order_finding, rearranged
 
-_IN_ORDER = (check_saturation, check_light, check_response, check_frames, check_orders, check_focus_map)
+_CHECKS = (check_saturation, check_light, check_response, check_frames, check_focus_map)
+_PUTS_ORDERS_IN_DOUBT = {"vibration", "flicker", "response"}
 
 
 def diagnose_sequence(sequence: Sequence, yardstick: Yardstick) -> list[Finding]:
@@ -21,10 +22,14 @@ def findings_of(sequence: Sequence, order: Order | None, yardstick: Yardstick) -
     """The same where the order of its frames was looked for already.
 
     Frames are put in order first, so that what a wrong order did is not found again under other names. Where a pattern
-    is missing, nothing else is looked for.
+    is missing, nothing else is looked for. Orders in doubt are named only where nothing was found that puts them there.
     """
     findings = [] if order is None else [order_finding(sequence, order, yardstick)]
     sound = rearranged(sequence, order)
     if sound is None:
         return findings
-    return findings + [finding for check in _IN_ORDER for finding in check(sound, yardstick)]
+    for check in _CHECKS:
+        findings += check(sound, yardstick)
+    if _PUTS_ORDERS_IN_DOUBT.isdisjoint(finding.name for finding in findings):
+        findings += check_orders(sound, yardstick)
+    return findings

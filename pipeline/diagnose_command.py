@@ -50,9 +50,10 @@ def diagnose(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Say what is wrong with a measurement, why, what it costs, and what to do: the worst first.
+    """Say what is wrong with a measurement and what to do.
 
-    Exit code 0 if nothing was found, 1 if something was.
+    Each finding has its cause, its effect in µm and a remedy, the worst first. The exit code is 0 if there is none, and
+    1 if there is one.
     """
     from greenough.instrument import hdf5
     from greenough.instrument.frame_files import read_frames

@@ -18,6 +18,7 @@ from scipy.optimize import root_scalar
 from scipy.stats import norm
 
 from ..blas import on_one_thread
+from ..grey_variance import QUANTISATION_VARIANCE
 from .finding import FALSE_ALARM, Finding, Yardstick
 from .sequence import FringeFit, Sequence, fit_fringes
 
@@ -200,6 +201,9 @@ def check_response(sequence: Sequence, yardstick: Yardstick) -> list[Finding]:
     three = error_of_steps(power_harmonics(_gamma(second), 4), 3)
     if three < yardstick.least_rad or abs(second) < norm.isf(FALSE_ALARM / 2) * sigma:
         return []
+    quantised = sequence.frames.stack.dtype.kind == "u"
+    if quantised and abs(second) * max(modulation) < np.sqrt(QUANTISATION_VARIANCE):
+        return []  # rounding of faint fringes makes harmonics, too
     three, as_taken, gamma = error_of_steps(power, 3), error_of_steps(power, steps[-1]), widest.gamma
     gain = correction_gain(sequence)
     evidence: dict[str, float | str] = {

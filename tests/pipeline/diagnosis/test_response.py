@@ -47,6 +47,10 @@ def test_light_that_is_added_or_flickers_is_no_response(taken, fault):
     assert check_response(taken(**fault), SCALE) == []
 
 
+def test_rounding_of_faint_fringes_is_no_response(taken):
+    assert [check_response(taken(seed=seed, full_dn=8.0), SCALE) for seed in range(10)] == [[]] * 10
+
+
 def test_three_steps_err_as_the_second_harmonic_and_twelve_do_not():
     ratios = power_harmonics(1.8, 6)
     assert error_of_steps(ratios, 3) == pytest.approx(ratios[1] / np.sqrt(2), rel=0.03)

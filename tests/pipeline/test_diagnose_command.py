@@ -93,7 +93,7 @@ def test_a_stage_that_slipped_is_named(tmp_path, capsys):
 def test_a_measurement_is_told_in_radians_and_with_a_calibration_in_um(calibrated, tmp_path, capsys):
     with record(PlainRig(run="measured"), tmp_path / "recording.h5") as rig:
         rig.operator.place(Placement("tilted plane"))
-        rig.camera.exposure_us = 800.0
+        rig.camera.exposure_us = 2000.0
         rig.capture(FRINGES.patterns(*rig.projector.shape))
     for options in ((), ("--calibration", calibrated / "calibration.h5")):
         assert diagnose(tmp_path / "recording.h5", *options, "--json") == 1

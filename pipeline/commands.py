@@ -241,7 +241,7 @@ def export(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Write measured points, or a calibrated camera, as other programs read them.
+    """Write points or a camera for programs of others.
 
     Points and surfaces are in mm, height maps in m. A surface has triangles between neighbouring pixels and is open
     where nothing was measured. A height map is linear inside these triangles and void elsewhere.

@@ -34,7 +34,7 @@ def report(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Make a page that shows a result: tables, figures, and surfaces in three dimensions.
+    """Make a page of a result: tables, figures, and surfaces to turn.
 
     It is one file that opens without a network.
     """

@@ -18,7 +18,7 @@ from scipy.stats import qmc
 from .diffraction import geometric_transfer
 from .quadrature import DESIGNED
 
-COUNTS = (16, 64, 128)
+COUNTS = (16, 32, 64, 128)
 DIMENSIONS = 6  # pixel, camera pupil, projector pupil: two each
 
 # The default optics, mm at the specimen.

@@ -134,9 +134,9 @@ def specimen_dict(parts: Sequence[Part], render: RenderSettings) -> dict[str, mi
 
 def integrator_dict(render: RenderSettings, flat: bool) -> dict[str, Any]:
     """The one-pass integrator for a specimen with or without relief."""
-    if flat:  # it cannot light itself
+    if flat:  # it can neither light nor shade itself
         tables = {"node_table": _table(NODES_FLAT), "edge_table": _table(render.nodes_edges)}
-        return {"type": "fringe", "bounces": 1} | tables
+        return {"type": "fringe", "bounces": 1, "shadows": False} | tables
     return {
         "type": "fringe",
         "node_table": _table(render.nodes),

@@ -128,7 +128,7 @@ class RenderSettings(BaseModel):
     """
 
     model_config = _STRICT
-    nodes: Nodes = 64
+    nodes: Nodes = 32
     nodes_edges: Nodes = 128
     nodes_indirect: Nodes = 16
     smoothing_px: Annotated[int, Field(ge=0, le=16)] = 4  # of interreflections along smooth surfaces; 0 is unbiased

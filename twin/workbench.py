@@ -31,7 +31,7 @@ class Mounted:
     placement: Placement
     specimen: Specimen
     table_from_part: np.ndarray  # (4, 4)
-    flat: bool  # no relief: it cannot light itself
+    flat: bool  # no relief: it can neither light nor shade itself
 
 
 class Workbench:

@@ -56,7 +56,7 @@ def test_other_counts_are_refused(count):
 
 
 def test_other_counts_of_direct_light_are_low_discrepancy_nodes():
-    np.testing.assert_array_equal(nodes_of_direct_light(32), nodes(32, 6))
+    np.testing.assert_array_equal(nodes_of_direct_light(256), nodes(256, 6))
 
 
 @pytest.mark.parametrize("count", COUNTS)

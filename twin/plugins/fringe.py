@@ -15,6 +15,8 @@
      all pixels have the same. Steps within one shape, and changes of its colour, are not looked for.
  * - bounces: integer
      Surface interactions of a path: 1 is direct light only, 2 adds one interreflection (default: 2).
+ * - shadows: boolean
+     Whether surfaces may lie in the way of light (default: true). A single flat one cannot.
  * - guided: boolean
      Draw half of the paths of the interreflections from a map of the light around each part of the picture, see
      ``greenough.twin.plugins.guiding`` (default: true).
@@ -73,6 +75,7 @@ class FringeIntegrator(mi.SamplingIntegrator):
             self.nodes = len(self.node_table)
         self.nodes_indirect = int(props.get("nodes_indirect", self.nodes))
         self.bounces = int(props.get("bounces", 2))
+        self.shadows = bool(props.get("shadows", True))
         self.guided = bool(props.get("guided", True))
         self.smoothing = int(props.get("smoothing", 0))
         self.shift_per_pixel = bool(props.get("shift_per_pixel", False))
@@ -199,7 +202,8 @@ class FringeIntegrator(mi.SamplingIntegrator):
         """Radiance of what a ray sees, lit directly, and of emitters it hits: N values."""
         si = scene.ray_intersect(ray, mi.RayFlags.All, coherent=True)
         glow = throughput * si.emitter(scene).eval(si)[0]
-        return [light + glow for light in _direct(scene, si, ray, throughput, si.is_valid(), pupil, colour)]
+        lit = _direct(scene, si, ray, throughput, si.is_valid(), pupil, colour, shadows=self.shadows)
+        return [light + glow for light in lit]
 
     def _indirect(self, scene, guide, ray, throughput, pixel, pupil, colour, u):
         """Radiance that reaches the first surface by way of others: N values."""
@@ -359,7 +363,7 @@ def _colour(scene: mi.Scene, i: mi.UInt32, count: int, shift: mi.Float | float) 
     return spectrum.wavelength_um(u - dr.floor(u), spectrum.parting(shares))
 
 
-def _direct(scene, si, ray, throughput, active, pupil, colour, white=False):
+def _direct(scene, si, ray, throughput, active, pupil, colour, white=False, shadows=True):
     """Light of all emitters reflected at one surface point, N values; projectors may show ``white`` instead."""
     context = mi.BSDFContext()
     bsdf = si.bsdf(ray)
@@ -370,7 +374,8 @@ def _direct(scene, si, ray, throughput, active, pupil, colour, white=False):
             direction = dr.normalize(mi.Vector3f(point - si.p))
             facing = active & (dr.dot(si.n, direction) > 0)
             reflected = bsdf.eval(context, si, si.to_local(direction), facing)[0]
-            facing &= ~scene.ray_test(si.spawn_ray_to(point), coherent=True, active=facing)
+            if shadows:
+                facing &= ~scene.ray_test(si.spawn_ray_to(point), coherent=True, active=facing)
             share = dr.select(facing, throughput * irradiance * reflected, 0.0)
             if white:
                 x, y = emitter.middle

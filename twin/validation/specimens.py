@@ -1,6 +1,7 @@
 """Claims about the paper's specimens: each measured, compared with the mesh that was rendered, and kept as files."""
 
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -54,27 +55,33 @@ def measure_specimen(setups: Sequence[Setup], name: str, folder: Path) -> list[t
     mesh = Mesh(*merge(first.bench.parts_in_world()))
     write_mesh(folder / f"{name}-truth.ply", mesh, {"unit": "mm", "specimen": name})
     surface = Surface.of(mesh)
-    measured = []
-    for setup in setups:
-        for treatment, treated in _treated(setup, phase_map, name in SHINY, all_of_them=setup is first):
-            method = "" if setup is first else f"-{setup.calibration.method}"
-            ending = "" if treatment == RAW else f"-{treatment.replace('_', '-')}"
-            points = setup.points(treated)
-            cloud = _cloud(setup, name, treatment, points, truth, judged)
-            write_cloud(folder / f"{name}{method}{ending}.ply", cloud)
-            found = Measured(
-                name=name,
-                treatment=treatment,
-                background=phase_map.background,
-                points=points,
-                height_sigma=setup.height_sigma(treated),
-                truth=truth,
-                smooth=judged,
-                error=error_row("vertical", "smooth", vertical_errors(points.xyz[judged & points.valid], surface)),
-                valid_share=len(cloud.xyz) / max(1, int(truth.lit_and_seen.sum())),
-            )
-            measured.append((setup, found))
-    return measured
+    _ = surface.scene  # made once, before several threads ask for it
+
+    def evaluated(setup: Setup, treatment: str, treated: PhaseMap, points: PointMap) -> Measured:
+        method = "" if setup is first else f"-{setup.calibration.method}"
+        ending = "" if treatment == RAW else f"-{treatment.replace('_', '-')}"
+        cloud = _cloud(setup, name, treatment, points, truth, judged)
+        write_cloud(folder / f"{name}{method}{ending}.ply", cloud)
+        return Measured(
+            name=name,
+            treatment=treatment,
+            background=phase_map.background,
+            points=points,
+            height_sigma=setup.height_sigma(treated),
+            truth=truth,
+            smooth=judged,
+            error=error_row("vertical", "smooth", vertical_errors(points.xyz[judged & points.valid], surface)),
+            valid_share=len(cloud.xyz) / max(1, int(truth.lit_and_seen.sum())),
+        )
+
+    # Evaluating one treatment takes one core, while the next is prepared.
+    with ThreadPoolExecutor(2) as pool:
+        jobs = [
+            (setup, pool.submit(evaluated, setup, treatment, treated, setup.points(treated)))
+            for setup in setups
+            for treatment, treated in _treated(setup, phase_map, name in SHINY, all_of_them=setup is first)
+        ]
+        return [(setup, job.result()) for setup, job in jobs]
 
 
 def _treated(setup: Setup, phase_map: PhaseMap, shiny: bool, all_of_them: bool) -> Iterator[tuple[str, PhaseMap]]:

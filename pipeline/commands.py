@@ -286,7 +286,7 @@ def _look(
         progress(1, f"looking at {placement.part}", quiet=as_json) as advance,
     ):
         procedure = opened.procedure
-        fringes = FringeSet(procedure.periods_px, procedure.steps)
+        fringes = FringeSet.of(procedure)
         seen = preview(opened, placement, fringes, procedure.brackets if bracket else (1.0,))
         name = opened.identity.name
         advance(1)

@@ -169,7 +169,7 @@ class _InOrder:
 
 
 def _own_fringes(replay: Replay) -> FringeSet:
-    return FringeSet(replay.procedure.periods_px, replay.procedure.steps)
+    return FringeSet.of(replay.procedure)
 
 
 def _fringed(replay: Replay, fringes: FringeSet) -> list[int]:

@@ -170,3 +170,33 @@ def test_a_shadow_is_black_and_the_background_too(scenery):
 
 def test_it_says_what_it_is(scenery):
     assert "FringeIntegrator" in str(mi.load_dict(scenery.fringe()))
+
+
+@pytest.mark.parametrize(("relief", "shades"), [(False, False), (True, True)])
+def test_only_relief_stands_in_its_own_light(relief, shades):
+    """The same scene with shadow rays and without: alike on a plane, darker with them beside a ball."""
+    looks = mi.ScalarTransform4f().look_at
+    scene = {
+        "type": "scene",
+        "sensor": {
+            "type": "lens_sensor", "focal_length_px": 200, "focus_distance": 10, "aperture_radius": 0.1,
+            "to_world": looks(origin=[0, 0, 10], target=[0, 0, 0], up=[0, 1, 0]),
+            "film": {"type": "hdrfilm", "width": 32, "height": 24, "pixel_format": "luminance"},
+        },
+        "projector": {
+            "type": "lens_projector", "patterns": mi.TensorXf(np.full((1, 64, 64), 255, np.float32)),
+            "column_pitch": 0.1, "row_pitch": 0.1, "focus_distance": 10, "aperture_radius": 0.1,
+            "to_world": looks(origin=[6, 0, 10], target=[0, 0, 0], up=[0, 1, 0]),
+        },
+        "floor": {"type": "rectangle", "to_world": mi.ScalarTransform4f().scale(5)},
+    }  # fmt: skip
+    if relief:
+        scene["ball"] = {"type": "sphere", "center": [0, 0, 0.3], "radius": 0.3}
+    with_them, without = (
+        np.array(mi.render(mi.load_dict(scene | {"integrator": {"type": "fringe", "bounces": 1, "shadows": shadows}})))
+        for shadows in (True, False)
+    )
+    assert without.max() > 0
+    assert (with_them.min() < 0.5 * without.min()) == shades
+    if not shades:
+        np.testing.assert_allclose(with_them, without, rtol=1e-6)

@@ -64,6 +64,16 @@ _WHEEL = {"darwin": "lib/libaravis-0.8.dylib", "win32": "bin/aravis-0.8-0.dll"}.
     sys.platform, "lib/libaravis-0.8.so"
 )
 
+_USB = "libusb-1.0.so.0"
+_NEEDED = {
+    "libglib-2.0.so.0": "libglib2.0-0",
+    "libgobject-2.0.so.0": "libglib2.0-0",
+    "libgio-2.0.so.0": "libglib2.0-0",
+    "libxml2.so.2": "libxml2",
+    _USB: "libusb-1.0-0",
+}
+"""Libraries that Aravis' wheel takes from the operating system, and the Debian packages that bring them."""
+
 # Each: what it returns and takes. Functions that can fail take a place for their error besides, as the last.
 _FALLIBLE: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "arv_camera_new": (c_void_p, (c_char_p,)),
@@ -146,33 +156,67 @@ class _GValue(ctypes.Structure):
 
 def find_libraries() -> tuple[str, ...]:
     """Aravis' libraries that are installed, the wheel's first: paths, or names that the linker knows."""
-    found = []
-    wheel = importlib.util.find_spec("aravis")  # found, not imported: its Python side needs more than its library
-    if wheel is not None and wheel.submodule_search_locations:
-        path = Path(wheel.submodule_search_locations[0]) / _WHEEL
-        if path.exists():
-            found.append(str(path))
+    wheel = _file_in_package("aravis", _WHEEL)
     system = ctypes.util.find_library("aravis-0.8")
-    return (*found, system) if system else tuple(found)
+    return tuple(library for library in (wheel, system) if library)
+
+
+@cache
+def find_usb_library() -> str | None:
+    """The libusb of the wheel ``libusb-package``, where the operating system has none that can be loaded."""
+    return None if _loads(_USB) else _file_in_package("libusb_package", "libusb-1.0.so")
 
 
 @cache
 def load() -> "Aravis":
-    """The first Aravis that is found, ready to be called.
+    """The first Aravis that can be loaded, ready to be called.
 
     Raises
     ------
     InputError
-        When none is installed, or it cannot be loaded.
+        When none is installed, or none can be loaded; it names the libraries that are missing.
     """
     libraries = find_libraries()
-    remedy = 'run "apt-get install libaravis-0.8-0" (Debian, Ubuntu) or "pip install greenough[genicam]"'
     if not libraries:
-        raise InputError(f"GenICam cameras are reached through Aravis, which is not installed: {remedy}.")
+        raise InputError(
+            "GenICam cameras are reached through Aravis, which is not installed: "
+            'run "apt-get install libaravis-0.8-0" (Debian, Ubuntu) or "pip install greenough[genicam]"'
+        )
+    usb = find_usb_library()
+    if usb is not None:
+        ctypes.CDLL(usb, mode=ctypes.RTLD_GLOBAL)  # the linker then takes it for the one that Aravis asks for
+    reasons = []
+    for library in libraries:
+        try:
+            return Aravis(ctypes.CDLL(library))
+        except OSError as error:
+            reasons.append(str(error))
+    missing = [library for library in _NEEDED if not _loads(library)]
+    if not missing:
+        raise InputError(f"Aravis is installed but cannot be loaded: {'; '.join(reasons)}")
+    packages = " ".join(dict.fromkeys(_NEEDED[library] for library in missing))
+    raise InputError(
+        f"Aravis is installed but cannot be loaded, because this machine lacks {', '.join(missing)}: "
+        f'run "apt-get install {packages}" (Debian, Ubuntu)'
+    )
+
+
+def _file_in_package(package: str, path: str) -> str | None:
+    """Path of a file in an installed package, which is not imported: its Python side may need more than the file."""
+    spec = importlib.util.find_spec(package)
+    if spec is None or not spec.submodule_search_locations:
+        return None
+    file = Path(spec.submodule_search_locations[0]) / path
+    return str(file) if file.exists() else None
+
+
+def _loads(library: str) -> bool:
+    """Whether the linker finds a library of this name."""
     try:
-        return Aravis(ctypes.CDLL(libraries[0]))
-    except OSError as error:
-        raise InputError(f"Aravis cannot be loaded ({error}): {remedy}.") from None
+        ctypes.CDLL(library)
+    except OSError:
+        return False
+    return True
 
 
 class Aravis:

@@ -294,3 +294,39 @@ def test_without_aravis_there_is_one_sentence_with_the_remedy(monkeypatch):
             genicam_camera.GenicamCamera(section(), GenicamSettings(address="127.0.0.1"))
     finally:
         aravis.load.cache_clear()
+
+
+def test_what_aravis_lacks_is_named_with_its_package(monkeypatch):
+    """On a machine without GLib, and whatever the operating system has besides."""
+    monkeypatch.setattr(aravis, "find_libraries", lambda: ("libnowhere.so.1",))
+    monkeypatch.setattr(aravis, "_loads", lambda library: "glib" not in library)
+    aravis.load.cache_clear()
+    try:
+        with pytest.raises(InputError, match=r'lacks libglib-2\.0\.so\.0: run "apt-get install libglib2\.0-0" \('):
+            aravis.load()
+    finally:
+        aravis.load.cache_clear()
+
+
+def test_an_aravis_that_does_not_load_does_not_hide_the_next(monkeypatch, tmp_path):
+    broken = tmp_path / "libaravis-0.8.so"
+    broken.write_bytes(b"no library")
+    installed = aravis.find_libraries()
+    monkeypatch.setattr(aravis, "find_libraries", lambda: (str(broken), *installed))
+    aravis.load.cache_clear()
+    try:
+        assert aravis.load()
+    finally:
+        aravis.load.cache_clear()
+
+
+def test_an_aravis_that_lacks_nothing_but_is_broken_says_what_the_linker_says(monkeypatch, tmp_path):
+    broken = tmp_path / "libaravis-0.8.so"
+    broken.write_bytes(b"no library")
+    monkeypatch.setattr(aravis, "find_libraries", lambda: (str(broken),))
+    aravis.load.cache_clear()
+    try:
+        with pytest.raises(InputError, match=r"libaravis-0.8.so: (file too short|invalid ELF header)"):
+            aravis.load()
+    finally:
+        aravis.load.cache_clear()

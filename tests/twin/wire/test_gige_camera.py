@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import os
 import random
 import shutil
 import socket
@@ -16,7 +17,7 @@ import numpy as np
 import pytest
 from emulated_gige import MODEL, emulated, need_aravis, picture
 
-from greenough.instrument.aravis import find_libraries
+from greenough.instrument.aravis import find_libraries, find_usb_library
 from greenough.instrument.errors import InputError
 from greenough.twin.wire.gige_camera import PORT, GigeCamera, Trigger
 
@@ -221,6 +222,7 @@ def peer():
             capture_output=True,
             text=True,
             timeout=200,
+            env=os.environ | {"LD_PRELOAD": find_usb_library() or ""},
         )
         assert run.returncode == 0, run.stderr
         return json.loads(run.stdout)

@@ -4,6 +4,7 @@ import os
 from typing import Literal
 
 from .errors import InputError
+from .libatomic import ensure_libatomic
 from .llvm import ensure_llvm
 
 VARIABLE = "GREENOUGH_VARIANT"
@@ -24,6 +25,7 @@ def backend() -> Backend:
     InputError
         If the variable names no variant of ``VARIANTS``.
     """
+    ensure_libatomic()
     ensure_llvm()
     wanted = os.environ.get(VARIABLE)
     if not wanted:

@@ -7,11 +7,13 @@ compiled kernel, and a fringe stack is monochrome, so that no other variant will
 
 from greenough.instrument.backend import VARIANTS, backend
 from greenough.instrument.errors import InputError
+from greenough.instrument.libatomic import ensure_libatomic
 from greenough.instrument.llvm import ensure_llvm
 
+ensure_libatomic()
 ensure_llvm()
 
-import drjit as dr  # noqa: E402  Dr.Jit loads libLLVM while it is imported: ensure_llvm must come first
+import drjit as dr  # noqa: E402  Dr.Jit loads both libraries while it is imported
 import mitsuba as mi  # noqa: E402  imports Dr.Jit
 
 _set_before = mi.variant()

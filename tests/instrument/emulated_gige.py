@@ -57,7 +57,7 @@ def serve(address: str, ready) -> None:
 
 
 def need_aravis(libraries: int = 1) -> None:
-    """Skip where fewer versions of Aravis are installed, or none loads; fail where GREENOUGH_NEEDS_ARAVIS forbids it."""
+    """Skip where fewer versions of Aravis are installed, or none loads; fail where GREENOUGH_NEEDS_ARAVIS says so."""
     found = len(find_libraries())
     try:
         load()

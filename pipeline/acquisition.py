@@ -300,14 +300,20 @@ def capture_part(
     rig.operator.place(placement)
     rig.stage.move_to_mm(0.0)
     auto_exposure(rig)
-    low, high = rig.camera.exposure_limits_us
-    possible = tuple(ratio for ratio in brackets if low <= ratio * rig.camera.exposure_us <= high)
+    possible = possible_brackets(rig, brackets)
     if len(possible) < len(brackets):
-        _log.warning("%s: only the brackets %s are within the camera's exposures", placement.part, possible)
+        level = logging.WARNING if len(possible) == 1 else logging.INFO
+        _log.log(level, "%s: only the brackets %s are within the camera's exposures", placement.part, possible)
     if possible == (1.0,):
         return rig.capture(patterns), rig.camera.noise
     merged = capture_bracketed(rig, patterns, possible)
     return merged.frames, merged.variance
+
+
+def possible_brackets(rig: Rig, brackets: Sequence[float]) -> tuple[float, ...]:
+    """Those of ``brackets``, multiples of the present exposure, that lie within the camera's limits."""
+    low, high = rig.camera.exposure_limits_us
+    return tuple(ratio for ratio in brackets if low <= ratio * rig.camera.exposure_us <= high)
 
 
 def plane_heights(rig: Rig) -> np.ndarray:

@@ -135,6 +135,7 @@ def measure(
     ):
         brackets = opened.procedure.brackets if bracket else (1.0,)
         points = acquisition.measure(opened, loaded, placement, brackets, filter_fwhm_px, deconvolve)
+        taken = acquisition.possible_brackets(opened, brackets)  # of the exposure that the part was given
         advance(1)
     filtered = f"plane under a gaussian on phasors, fwhm {filter_fwhm_px or 0:g} px"
     facts = {
@@ -144,7 +145,7 @@ def measure(
         "run": run,
         "calibration": loaded.method,
         "calibration_run": loaded.run,
-        "brackets": " ".join(f"{ratio:g}" for ratio in brackets),
+        "brackets": " ".join(f"{ratio:g}" for ratio in taken),
         "deconvolved": "yes" if deconvolve else "no",
         "filter": "none" if filter_fwhm_px is None else filtered,
     }

@@ -98,6 +98,7 @@ class Opened:
     """What `measure` needs of a rig when the procedure itself is replaced."""
 
     procedure = Procedure((64.0,), (4,), 16, 30, 0.1, 0.8, (4.0, 1.0))
+    camera = SimpleNamespace(exposure_us=8000.0, exposure_limits_us=(100.0, 1e6))
 
     def __enter__(self):
         return self
@@ -171,6 +172,12 @@ def test_measure_hands_over_what_was_asked_and_the_cloud_says_so(measured):
     assert asked["run"] == cloud.facts["run"] == "friday"
     assert cloud.facts["brackets"] == "4 1"
     assert cloud.facts["filter"] == "plane under a gaussian on phasors, fwhm 2 px"
+
+
+def test_a_cloud_names_only_the_exposures_that_were_taken(measured, monkeypatch):
+    monkeypatch.setattr(Opened, "camera", SimpleNamespace(exposure_us=8000.0, exposure_limits_us=(100.0, 20_000.0)))
+    _, _, cloud = measured("--sample", "coin", "--bracket")
+    assert cloud.facts["brackets"] == "1"
 
 
 def test_two_samples_are_measured_in_runs_of_their_own(measured):

@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 CONSTRAINTS ?= constraints.txt
 PIP_INSTALL = $(BIN)/python -m pip install --disable-pip-version-check --no-compile --constraint $(CONSTRAINTS)
-QUICK := not full and not slow and not browser and not peers
+QUICK := (not slow or essential) and not full and not browser and not peers
 
 # A step of the set-up in one line; what its command prints is shown only if it fails.
 step = @echo "$(1)"; mkdir -p build; \

@@ -68,6 +68,7 @@ def folder(tmp_path_factory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_examples_run_in_the_order_of_the_page_and_the_commands_with_them(folder, monkeypatch, capsys):
     monkeypatch.chdir(folder)
     examples = doctest.DocTestParser().get_doctest("\n".join(blocks("python")), {}, "README.md", str(README), 0)

@@ -82,6 +82,7 @@ def huge_png():
     )
 
 
+@pytest.mark.slow
 def test_bad_files_are_one_sentence_and_cost_no_memory(tmp_path, stack):
     (path, *_) = write_images(tmp_path / "folder", stack)
     whole = path.read_bytes()

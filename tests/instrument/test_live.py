@@ -324,6 +324,7 @@ def test_an_error_that_nobody_fetches_ends_the_command_all_the_same(greenough, m
     assert greenough(Rig(good=0))[0] == 2
 
 
+@pytest.mark.slow
 def test_the_twin_is_seen(view: live.View) -> None:
     with open_rig("twin", SMALL) as rig:
         rig.operator.place(Placement("coin"))

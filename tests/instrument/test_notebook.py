@@ -60,6 +60,7 @@ def test_a_map_without_values_or_contrast_is_drawn(values):
     assert map_picture(values, "z, mm").png.startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_a_spike_does_not_take_the_colours_of_all_others():
     values = np.tile(np.linspace(0, 1, 100), (100, 1))
     values[0, 0] = 1e6

@@ -350,6 +350,7 @@ def test_dropped_frames_are_counted_through_all_captures() -> None:
     assert dropped_frames([np.arange(3)], [np.array([0.0, 0.2, 0.2])]) == 1
 
 
+@pytest.mark.slow
 def test_the_twin_is_green_and_names_its_devices(tmp_path: Path) -> None:
     for seed in (1, 2):
         with open_rig("twin", [*SMALL, f"twin.seed={seed}"]) as rig:

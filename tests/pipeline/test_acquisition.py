@@ -120,6 +120,8 @@ def test_a_calibration_without_planes_is_valid_where_postures_were_seen(stage_fr
     assert np.nanmax(relation.z_range) == pytest.approx(high + reach, abs=0.01)
 
 
+@pytest.mark.slow
+@pytest.mark.essential
 def test_a_killed_calibration_without_planes_goes_on_to_the_same_result(stage_free, tmp_path):
     out = tmp_path / "cal.h5"
     with pytest.raises(Killed), PlainRig(limit=0.1, dies_at=6) as rig:
@@ -131,6 +133,7 @@ def test_a_killed_calibration_without_planes_goes_on_to_the_same_result(stage_fr
     assert rig.sequences == PROCEDURE.postures - 5
 
 
+@pytest.mark.slow
 def test_postures_that_a_method_refuses_are_shown_again(tmp_path, monkeypatch):
     def refuse(data):
         raise InputError("these postures say nothing")
@@ -176,6 +179,7 @@ def test_a_tilted_plane_is_measured_in_the_boards_frame(undisturbed):
     assert np.sqrt(np.mean(error[:, :2] ** 2)) < 3e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dies_at", [1, 5, 9, 14])
 def test_a_killed_calibration_goes_on_to_the_same_result(undisturbed, tmp_path, dies_at):
     out = tmp_path / "cal.h5"
@@ -208,6 +212,7 @@ def test_going_on_with_something_else_is_refused_with_the_reason(tmp_path, other
     assert rig.placed == []
 
 
+@pytest.mark.slow
 def test_a_board_not_found_is_named_and_the_rest_is_kept(tmp_path, caplog):
     with PlainRig(hidden=(3,)) as rig, caplog.at_level(logging.WARNING):
         calibration = calibrate(rig, tmp_path / "cal.h5", run="run")
@@ -216,6 +221,7 @@ def test_a_board_not_found_is_named_and_the_rest_is_kept(tmp_path, caplog):
     assert calibration.figures["postures_used"] == 7
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hidden", [(0, 2, 5), (None,)])
 def test_too_few_postures_are_refused_before_the_planes_and_can_be_laid_again(tmp_path, hidden):
     out = tmp_path / "cal.h5"
@@ -228,6 +234,7 @@ def test_too_few_postures_are_refused_before_the_planes_and_can_be_laid_again(tm
     assert [placement.posture for placement in rig.placed if placement.face == "printed"] == list(hidden)
 
 
+@pytest.mark.slow
 def test_too_few_phases_at_spots_are_refused_before_the_planes_and_only_by_the_bundle(tmp_path, monkeypatch):
     measured = acquisition.measure_spot_phases
 
@@ -245,6 +252,7 @@ def test_too_few_phases_at_spots_are_refused_before_the_planes_and_only_by_the_b
         assert calibrate(rig, out, run="run", method="paper").method == "paper"
 
 
+@pytest.mark.slow
 def test_planes_stay_in_their_files(tmp_path, monkeypatch):
     def look(data):
         assert isinstance(data.phases, h5py.Dataset)
@@ -307,6 +315,7 @@ def test_a_measurement_must_not_share_exposures_with_its_calibration(undisturbed
         assert measure(rig, undisturbed[0], Placement("tilted plane")).valid.any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["paper", "triangulation"])
 def test_a_tilted_plane_is_measured_in_a_field_as_large_as_a_table(tmp_path, method):
     """Of which no pixel is left out because heights move its phase less or more than in the middle."""
@@ -327,6 +336,7 @@ def test_a_tilted_plane_is_measured_in_a_field_as_large_as_a_table(tmp_path, met
     assert abs(np.nanmean(error[..., 2])) < 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dark", [False, True])
 def test_a_grid_of_spots_that_are_all_alike_calibrates_too(tmp_path, dark):
     """White on dark or dark on white: where spots are dark the phase is taken around them."""

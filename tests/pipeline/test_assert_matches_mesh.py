@@ -115,6 +115,7 @@ def test_no_picture_and_no_folder_is_made_where_it_matches(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_pictures_of_tests_whose_names_differ_in_signs_alone_are_kept_apart(tmp_path, monkeypatch):
     pictures = set()
     for test in ("test_a.py::test[1/2] (call)", "test_a.py::test[1-2] (call)", "test_a.py::test[é (x)] (call)"):

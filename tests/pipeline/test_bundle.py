@@ -199,6 +199,8 @@ def rigid_rest(z_error: np.ndarray) -> np.ndarray:
     return z_error - design @ np.linalg.lstsq(design, z_error, rcond=None)[0]
 
 
+@pytest.mark.slow
+@pytest.mark.essential
 def test_the_volume_is_measured_to_tenths_of_a_micrometre_whatever_the_lenses_do(draw):
     """Without offset and tilt; z of all points of all draws."""
     rest = np.array([rigid_rest(draw(seed).errors()[:, 2]) for seed in range(4)])
@@ -228,6 +230,7 @@ def test_a_step_of_two_and_a_half_millimetres_is_known_as_well_as_predicted(draw
     assert total < stats.chi2.ppf(0.9999, 4)
 
 
+@pytest.mark.slow
 def test_covariance_predicts_the_errors_of_points(draw):
     """8 calibrations, each judged at one point of the volume: chi-square with 24 degrees of freedom.
 
@@ -245,6 +248,7 @@ def test_covariance_predicts_the_errors_of_points(draw):
     assert low < total < 1.2 * high
 
 
+@pytest.mark.slow
 def test_a_drift_of_the_paths_is_told_from_heights_if_it_is_stated(acquire, spot_board):
     """A walk of 0.5 µm over 8 postures, with 4 instruments: what heights err by is then within the covariance.
 
@@ -272,6 +276,7 @@ def test_a_drift_of_the_paths_is_told_from_heights_if_it_is_stated(acquire, spot
     assert squares["not told"] > 1.2 * high
 
 
+@pytest.mark.slow
 def test_the_stage_is_not_believed(acquire, draw, spot_board):
     """Readings with another scale, offset and noise lead to the same instrument."""
     _, data, _, readings = acquire(0)
@@ -305,6 +310,7 @@ def test_noise_is_found_from_what_is_left_over(draw):
     assert noise[2] == pytest.approx(BLOCK_RAD, rel=0.1)
 
 
+@pytest.mark.slow
 def test_spots_and_phases_that_were_not_seen_are_left_out(draw):
     result = draw(3, lost=0.25)
     assert np.isnan(result.bundle.residuals_px[..., 0]).mean() == pytest.approx(0.25, abs=0.05)
@@ -312,12 +318,14 @@ def test_spots_and_phases_that_were_not_seen_are_left_out(draw):
     assert np.std(rigid_rest(result.errors()[:, 2])) < 0.2e-3
 
 
+@pytest.mark.slow
 def test_half_the_postures_are_enough_for_a_worse_result(draw):
     """Of 8 postures, as when the others were dropped."""
     result = draw(4, postures=8)
     assert np.std(rigid_rest(result.errors()[:, 2])) < 0.5e-3
 
 
+@pytest.mark.slow
 def test_a_board_taken_for_larger_makes_all_lengths_larger_by_as_much(draw, spot_board):
     """The same observations with a drawing 1 ‰ larger: nothing else in the model knows a length."""
     made = draw(1)
@@ -332,6 +340,7 @@ def test_a_board_taken_for_larger_makes_all_lengths_larger_by_as_much(draw, spot
     np.testing.assert_allclose(change, 1e-3 * VOLUME, atol=0.03e-3 * 2.5)
 
 
+@pytest.mark.slow
 def test_wrong_observations_are_left_out(acquire, draw, spot_board):
     instrument, data, centres, readings = acquire(0)
     data.spots[2].centres_px[7] += [0.5, -0.4]
@@ -348,6 +357,7 @@ def test_wrong_observations_are_left_out(acquire, draw, spot_board):
     assert np.abs(moved).max() < 0.1e-3
 
 
+@pytest.mark.slow
 def test_the_same_data_give_the_same_bits(acquire, spot_board):
     _, data, _, readings = acquire(0, postures=8)
     first, second = (solve(data, readings, spot_board).state.instrument for _ in range(2))
@@ -406,6 +416,7 @@ def test_planes_make_steps_better_known(draw, without_planes):
     assert sd(draw(0)) < 0.8 * sd(without_planes(0))
 
 
+@pytest.mark.slow
 def test_without_planes_steps_err_as_predicted(without_planes):
     """A step of 2 mm in the middle of the field by 4 calibrations: chi-square, false alarm 1 in 10 000."""
     ends, total = np.array([[0.3, -0.2, -1.0], [0.3, -0.2, 1.0]]), 0.0
@@ -418,6 +429,7 @@ def test_without_planes_steps_err_as_predicted(without_planes):
     assert total < stats.chi2.ppf(0.9999, 4)
 
 
+@pytest.mark.slow
 def test_plain_triangulation_errs_more_where_rays_miss_one_centre(without_planes, spot_board):
     """Two pinholes with distortion under a board as drawn, on the same observations: twice the error at least."""
     bundle, plain = [], []

@@ -80,6 +80,7 @@ def test_print_and_noise_are_told_apart(draw):
     assert result.print_sd_mm < 0.1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("print_sd_mm", "noise_px"), [(0.6e-3, 0.007), (0.0, 0.02)])
 def test_covariance_of_projected_points_predicts_their_errors(draw, print_sd_mm, noise_px):
     """24 calibrations, each with its own postures, print and noise, each judged at one point of the volume.
@@ -99,6 +100,7 @@ def test_covariance_of_projected_points_predicts_their_errors(draw, print_sd_mm,
     assert 0.95 * low < total < 1.05 * high
 
 
+@pytest.mark.slow
 def test_pictures_give_a_calibration_as_good_as_predicted(paint, poses, imaged_points, spot_board):
     """Painted pictures through detection and calibration; the largest of 90 correlated normalised errors is below 5."""
     rng = np.random.default_rng(21)

@@ -189,6 +189,7 @@ def test_a_pose_that_is_not_six_numbers_is_refused(measured):
     assert measured("--sample", "gear.stl", "--pose", "1,2,3")[0] == 2
 
 
+@pytest.mark.slow
 def test_the_pipeline_works_where_the_twin_cannot_be_imported(tmp_path):
     cloud, mesh = write_plane(tmp_path)
     program = (

@@ -138,6 +138,7 @@ def test_no_alignment_is_applied_unless_asked():
     assert result.row("vertical").bias_um == pytest.approx(10, abs=0.2)
 
 
+@pytest.mark.slow
 def test_a_rigid_alignment_leaves_scale_in_and_similarity_takes_it_out():
     mesh = height_field(bumps, n=401)
     xyz = points_on(bumps) * 1.002

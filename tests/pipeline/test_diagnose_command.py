@@ -72,6 +72,7 @@ def calibrated(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_a_sound_calibration_and_its_recording_end_with_0(calibrated, capsys):
     for name in ("recording.h5", "calibration.h5"):
         assert diagnose(calibrated / name, "--json") == 0, capsys.readouterr().out
@@ -80,6 +81,7 @@ def test_a_sound_calibration_and_its_recording_end_with_0(calibrated, capsys):
         assert result["um_per_rad"] == pytest.approx(163, rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_stage_that_slipped_is_named(tmp_path, capsys):
     slipped = PlainRig(stage_error=lambda reading: reading + 0.05 * (reading > 0.5))
     with record(slipped, tmp_path / "recording.h5") as rig:

@@ -17,6 +17,8 @@ from greenough.pipeline.point_cloud import Mesh, PointCloud, read_cloud, write_m
 from greenough.pipeline.surface_mesh import surface_mesh
 from peers import need_module, need_program, run_headless
 
+pytestmark = pytest.mark.peers
+
 PITCH = 0.05
 
 

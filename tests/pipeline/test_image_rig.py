@@ -79,6 +79,8 @@ def direct(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Calibration]:
         return dict(calibrate_by_methods(rig, {method: folder / f"{method}.h5" for method in METHODS}, "calibrate"))
 
 
+@pytest.mark.slow
+@pytest.mark.essential
 def test_calibrations_from_images_are_those_of_the_same_frames_to_the_last_bit(kept, direct, tmp_path):
     with open_rig(kept / "rig.toml", run="calibrate") as rig:
         made = calibrate_by_methods(rig, {method: tmp_path / f"{method}.h5" for method in METHODS}, "calibrate")
@@ -88,6 +90,7 @@ def test_calibrations_from_images_are_those_of_the_same_frames_to_the_last_bit(k
         assert_same(calibration, direct[method])
 
 
+@pytest.mark.slow
 def test_commands_calibrate_and_measure_where_the_twin_cannot_be_imported(kept, direct, tmp_path):
     program = (
         "import sys\n"
@@ -110,6 +113,7 @@ def test_commands_calibrate_and_measure_where_the_twin_cannot_be_imported(kept, 
     np.testing.assert_array_equal(cloud.xyz, expected.xyz[expected.valid].astype(cloud.xyz.dtype))
 
 
+@pytest.mark.slow
 def test_other_periods_signs_starts_and_horizontal_fringes_give_the_same_places(tmp_path):
     """A camera and a projector that both lie on their sides, and fringes of another kind, see the same world."""
     procedure = replace(
@@ -147,6 +151,7 @@ def test_other_periods_signs_starts_and_horizontal_fringes_give_the_same_places(
     assert np.percentile(difference, 99) < 0.2e-3  # mm: the model's fields are not the same on their side
 
 
+@pytest.mark.slow
 def test_a_gray_code_tells_the_orders_of_one_period(tmp_path):
     shown = {"periods_px": (20.0,), "steps": (5,), "field_px": 608.0, "gray_bits": 5}
     procedure = replace(LISTED, planes=0, plane_step_mm=0.0, heights_mm=(), **shown)
@@ -163,6 +168,7 @@ def test_a_gray_code_tells_the_orders_of_one_period(tmp_path):
     np.testing.assert_array_equal(made.phase_height.coefficients, direct.phase_height.coefficients)
 
 
+@pytest.mark.slow
 def test_white_pictures_of_the_board_are_enough_for_the_papers_method(theirs, direct, tmp_path):
     """With planes in front: what is white is as bright as the mean of the fringes, so spots are where they were."""
     for posture in (theirs / "board").iterdir():
@@ -194,6 +200,7 @@ def greenough(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatc
     return call
 
 
+@pytest.mark.slow
 def test_check_says_what_each_place_holds(kept, greenough):
     code, result, errors = greenough("check", kept / "rig.toml", "--json")
     assert (code, errors) == (0, "")
@@ -207,6 +214,7 @@ def test_check_says_what_each_place_holds(kept, greenough):
     assert postures[1]["order"] == "as above"
 
 
+@pytest.mark.slow
 def test_check_names_every_bad_place_and_goes_on(theirs, greenough):
     (theirs / "board/pose_2/shift3_freq1.png").unlink()
     dark = np.zeros((360, 480), np.uint8)
@@ -231,6 +239,7 @@ def test_check_names_every_bad_place_and_goes_on(theirs, greenough):
     assert "100% of the picture is saturated" in wrong["plane -450"]
 
 
+@pytest.mark.slow
 def test_a_board_that_is_not_found_is_named_as_its_images_are(theirs, greenough, caplog):
     for path in (theirs / "board/pose_4").iterdir():
         cv2.imwrite(str(path), np.full((360, 480), 7, np.uint8))

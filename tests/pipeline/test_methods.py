@@ -16,6 +16,8 @@ from greenough.pipeline.exposure import auto_exposure
 from greenough.pipeline.reconstruct import reconstruct
 from greenough.twin.validation.mechanics import systematic_error
 
+pytestmark = pytest.mark.slow
+
 # Pixels of 20 µm and spots larger in proportion; a stage of ±10 µm that spoils a step.
 SMALL = (
     "camera.rows=480", "camera.cols=640", "twin.optics.camera_focal_px=11341.5", "twin.render.nodes=8",

@@ -67,6 +67,7 @@ def planes(instrument, heights, seed=2, noise=0.0):
     return np.stack([instrument.projector.phase(xyz).reshape(SHAPE) + rng.normal(0, noise, SHAPE) for xyz in points])
 
 
+@pytest.mark.slow
 def test_planes_that_lie_as_stated_leave_nothing_over(instrument, maps):
     rays, relation = maps
     heights = np.linspace(-1.3, 1.4, 9)
@@ -76,6 +77,7 @@ def test_planes_that_lie_as_stated_leave_nothing_over(instrument, maps):
     assert (found.count == 9).all()
 
 
+@pytest.mark.slow
 def test_a_plane_that_lies_otherwise_shows_with_its_sign_and_shape(instrument, maps):
     rays, relation = maps
     heights = np.linspace(-1.3, 1.4, 9)
@@ -93,6 +95,7 @@ def test_a_plane_that_lies_otherwise_shows_with_its_sign_and_shape(instrument, m
     assert np.sqrt(np.mean(found.pixels_um[upright] ** 2)) == pytest.approx(1.6, rel=0.1)
 
 
+@pytest.mark.slow
 def test_planes_that_a_pixel_did_not_see_or_that_miss_the_model_do_not_count(instrument, maps):
     rays, relation = maps
     heights = np.linspace(-1.3, 1.4, MIN_PLANES + 1)

@@ -59,6 +59,7 @@ def photographed(board, blurred, rng, cutoff, slope, tilts=(18.0,) * 8, noise_dn
     return observed, calibration(poses)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("cutoff", "slope"), [(0.57, 1.5), (0.4, 1.0)])
 def test_lens_and_surface_in_focus_are_found_from_spots_blurred_in_space(spot_board, blurred, cutoff, slope):
     spots, camera = photographed(spot_board, blurred, np.random.default_rng(1), cutoff, slope)
@@ -73,6 +74,7 @@ def test_lens_and_surface_in_focus_are_found_from_spots_blurred_in_space(spot_bo
         )
 
 
+@pytest.mark.slow
 def test_camera_noise_hardly_moves_the_estimate(spot_board, blurred):
     clean, noisy = (
         estimate_point_spread(
@@ -84,6 +86,7 @@ def test_camera_noise_hardly_moves_the_estimate(spot_board, blurred):
     assert noisy.defocus_px_per_mm == pytest.approx(clean.defocus_px_per_mm, rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_board_that_always_lies_flat_does_not_tell_defocus(spot_board, blurred):
     spots, camera = photographed(spot_board, blurred, np.random.default_rng(3), 0.57, 0.0, tilts=(0.0,) * 4)
     with pytest.raises(InputError, match="tilt the board"):

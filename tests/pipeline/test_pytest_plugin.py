@@ -46,6 +46,7 @@ def project(pytester):
     return pytester
 
 
+@pytest.mark.slow
 def test_tests_pass_and_fail_with_a_picture_each(project):
     result = project.runpytest_subprocess("-p", "no:cacheprovider")
     result.assert_outcomes(passed=2, failed=2)
@@ -61,12 +62,14 @@ def test_tests_pass_and_fail_with_a_picture_each(project):
     assert "test_bad-bad.ply" in pictures[0].name + pictures[1].name
 
 
+@pytest.mark.slow
 def test_the_failing_line_is_the_users_own(project):
     result = project.runpytest_subprocess("-p", "no:cacheprovider", "-k", "test_bad_by_function")
     result.stdout.fnmatch_lines([">*plain(*bad.ply*nominal.stl*)"])
     assert "def assert_matches_mesh" not in result.stdout.str()
 
 
+@pytest.mark.slow
 def test_pictures_go_where_they_are_asked_to(project):
     options = ("-p", "no:cacheprovider", "-k", "test_bad and not function", "--greenough-pictures", "seen/here")
     project.runpytest_subprocess(*options).assert_outcomes(failed=1, deselected=3)

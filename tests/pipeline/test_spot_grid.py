@@ -22,6 +22,7 @@ def imaged(turn: float, tilt: float, towards: float, distance: float = 224.56) -
     return np.stack([640 + u, 480 - v], axis=-1), areas
 
 
+@pytest.mark.slow
 @given(
     turn=st.floats(0, 2 * np.pi),
     tilt=st.floats(0, np.radians(30)),

@@ -92,6 +92,7 @@ def test_light_that_changes_by_half_a_percent_per_px_moves_no_centre(paint, pose
     assert np.nanmax(np.abs(errors)) < 0.01
 
 
+@pytest.mark.slow
 def test_spots_cut_by_the_edge_of_the_light_are_left_out(paint, pose, spot_board):
     """A board shifted so that the edge runs through one row after the other, with little noise to hide behind."""
     for shift in (0.55, 0.65, 0.75):
@@ -168,6 +169,7 @@ def test_a_skewed_blur_moves_a_centre_by_little_more_than_its_mean(paint, pose, 
         assert abs(across) < 0.001
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("blur_px", [0.8, 1.5])
 def test_dark_spots_are_found_at_their_own_places(paint, pose, spot_board, blur_px):
     """The same board in other colours: black where it was white. Its spots need not be big anywhere, either."""

@@ -106,6 +106,7 @@ def test_ideal_lenses_are_found_exactly(observe, spot_board, imaged_points):
     assert np.abs(stereo.residuals_rad).max() < 2e-4
 
 
+@pytest.mark.slow
 def test_covariance_predicts_the_errors_of_points(observe, spot_board, imaged_points):
     """5 calibrations, each at a point: chi-square with 15 degrees of freedom; false alarm 1 in 1000."""
     rng, total = np.random.default_rng(3), 0.0

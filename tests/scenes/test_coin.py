@@ -66,6 +66,7 @@ def test_bevels_are_nowhere_steeper_than_one_stroke_s():
     assert np.linalg.norm(gradient, axis=-1).max() <= RELIEF_MM * np.pi / 2 / BEVEL_MM * (1 + 1e-12)
 
 
+@pytest.mark.slow
 def test_facets_depart_from_the_relief_by_less_than_a_tenth_of_a_micrometre(specimen):
     # On a height field with right-angled facets the largest error is in the middle of an edge.
     x, y = (np.linspace(-0.5, 0.5, round(size / STEP_MM) + 1) * size for size in SIZE_MM)

@@ -167,6 +167,7 @@ def on_spots(truth: Truth, board: SpotBoard) -> np.ndarray:
     return (np.linalg.norm(offset, axis=-1) < board.diameters() / 2 - 0.02).any(axis=-1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_the_world_has_the_spots_of_the_flat_board_at_height_zero(small, seed):
     zoomed = ("camera.rows=240", "camera.cols=320", "twin.optics.camera_focal_px=5670.75")
@@ -261,6 +262,7 @@ def test_a_sample_lies_as_it_is_posed(small):
     assert_allclose(on_plane, 0, atol=1e-4)  # float32
 
 
+@pytest.mark.slow
 def test_postures_come_from_the_seed(small):
     def poses(seed: int) -> np.ndarray:
         rig, bench = small(f"twin.seed={seed}")
@@ -288,6 +290,7 @@ def test_the_stages_errors_move_the_part_and_not_its_reading(small):
     assert 0.015 < np.std(errors) < 0.1
 
 
+@pytest.mark.slow
 def test_the_meshes_in_the_world_are_what_the_rays_meet(small):
     rig, bench = small("twin.stage.position_sd_um=20")
     rig.operator.place(Placement("diaphragm-raised"))
@@ -302,6 +305,7 @@ def test_the_meshes_in_the_world_are_what_the_rays_meet(small):
     assert np.max(distance) < 1e-5
 
 
+@pytest.mark.slow
 def test_the_truth_shows_itself_in_a_notebook(small):
     rig, bench = small(perfect=True)
     rig.operator.place(Placement("coin"))

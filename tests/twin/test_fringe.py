@@ -13,7 +13,9 @@ CONDUCTOR = {"type": "roughconductor", "material": "none", "distribution": "ggx"
 PLASTIC = {"type": "roughplastic", "distribution": "ggx", "alpha": 0.3, "diffuse_reflectance": 0.4}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bsdf", [CONDUCTOR, PLASTIC], ids=["conductor", "plastic"])
+@pytest.mark.essential
 def test_direct_light_on_glossy_surfaces_is_mitsubas(scenery, chance, bsdf):
     bodies = {name: body | {"bsdf": bsdf} for name, body in scenery.bodies().items()}
     ours = scenery.renders(scenery.perspective(), scenery.lens_projector(), scenery.fringe(), bodies)
@@ -23,6 +25,7 @@ def test_direct_light_on_glossy_surfaces_is_mitsubas(scenery, chance, bsdf):
     assert chance(ours[..., :1], theirs, scenery.paths) > FALSE_ALARM
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bsdf", [DIFFUSE, CONDUCTOR, PLASTIC], ids=["diffuse", "conductor", "plastic"])
 def test_interreflection_in_a_corner_is_mitsubas(scenery, chance, chance_brightness, bsdf):
     corner = scenery.corner(bsdf)
@@ -38,6 +41,7 @@ def test_interreflection_in_a_corner_is_mitsubas(scenery, chance, chance_brightn
     assert chance_brightness(0.9 * ours + 0.1 * direct, theirs) < FALSE_ALARM
 
 
+@pytest.mark.slow
 def test_further_bounces_are_mitsubas(scenery, chance):
     corner = scenery.corner(DIFFUSE)
     theirs = scenery.renders(
@@ -48,6 +52,7 @@ def test_further_bounces_are_mitsubas(scenery, chance):
         assert (chance(ours[..., :1], theirs, scenery.paths) > FALSE_ALARM) == alike
 
 
+@pytest.mark.slow
 def test_a_plane_cannot_light_itself(scenery):
     bodies = {"plane": scenery.bodies()["plane"]}
     one, two = (
@@ -58,6 +63,7 @@ def test_a_plane_cannot_light_itself(scenery):
     assert_allclose(two, one, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_one_pass_gives_each_pattern_what_it_gets_alone(scenery):
     patterns = np.random.default_rng(4).integers(0, 256, (7, *scenery.mirrors), dtype=np.uint8)
     fixed = scenery.fringe(2, shift_per_pixel=False)
@@ -83,6 +89,7 @@ def test_the_fixed_nodes_know_no_seed_and_the_shifted_ones_do(scenery):
     assert_array_equal(shifted[0], shifted[2])
 
 
+@pytest.mark.slow
 def test_samples_per_pixel_override_the_nodes(scenery):
     parts = {"type": "scene", "sensor": scenery.lens_sensor(), "emitter": scenery.lens_projector()} | scenery.bodies()
     few, many = (
@@ -116,6 +123,7 @@ def test_more_nodes_come_nearer_to_the_mean_of_shifted_ones(scenery):
     assert errors[2] < errors[1] / 3
 
 
+@pytest.mark.slow
 def test_light_of_other_emitters_is_the_same_in_all_channels(scenery, chance):
     lamp = {"type": "point", "position": [2.0, 1.0, 6.0], "intensity": 5.0}
     bodies = scenery.bodies() | {"lamp": lamp}
@@ -127,6 +135,7 @@ def test_light_of_other_emitters_is_the_same_in_all_channels(scenery, chance):
     assert chance(ours[..., 1:], theirs, scenery.paths) > FALSE_ALARM
 
 
+@pytest.mark.slow
 def test_a_lamp_in_the_picture_is_seen(scenery, chance):
     above = mi.ScalarTransform4f().translate([0.5, 0, 2.0]).scale([0.5, 0.3, 1])
     lamp = {"type": "rectangle", "to_world": above, "emitter": {"type": "area", "radiance": 1.5}}

@@ -103,6 +103,7 @@ def test_a_dark_surrounding_draws_nothing(dome):
     assert density == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("bsdf", "ground"),
     [(GLOSSY, DIFFUSE), (GLOSSY, GLOSSY), (PLASTIC, PLASTIC), (GLOSSY, MIRROR)],
@@ -123,6 +124,7 @@ def test_guided_paths_have_the_mean_of_plain_ones(scenery, chance, chance_bright
     assert chance_brightness(guided, plain) > FALSE_ALARM
 
 
+@pytest.mark.slow
 def test_guided_paths_are_mitsubas(scenery, chance, chance_brightness):
     bodies = balls(GLOSSY)
     ours = scenery.renders(scenery.perspective(), scenery.lens_projector(), scenery.fringe(3), bodies)[..., :1]
@@ -133,6 +135,7 @@ def test_guided_paths_are_mitsubas(scenery, chance, chance_brightness):
     assert chance_brightness(ours, theirs) > FALSE_ALARM
 
 
+@pytest.mark.slow
 def test_glints_on_a_matt_plane_are_met_with_much_less_noise(scenery):
     render = partial(scenery.renders, close_up(scenery), scenery.lens_projector(), bodies=balls(GLOSSY), seeds=range(8))
     direct = render(scenery.fringe(1))

@@ -25,6 +25,7 @@ def captures(seed: int, samples: Sequence[str]) -> list[np.ndarray]:
     return stacks
 
 
+@pytest.mark.slow
 def test_a_second_instrument_compiles_nothing_from_its_opening_to_its_frames() -> None:
     samples = ("board", "step-gauge")  # flat and with relief
     first = captures(21, samples)

@@ -62,6 +62,7 @@ def test_a_pattern_shifted_by_half_a_pixel_is_told_apart(scenery, native, chance
         assert (chance(ours, native, scenery.paths) > FALSE_ALARM) == alike
 
 
+@pytest.mark.slow
 def test_a_lens_gives_the_same_picture_under_mitsubas_integrator(scenery, chance):
     lens = {"aperture_radius": 0.6, "focus_distance": 9.0}
     one_pass = scenery.renders(scenery.perspective(), scenery.lens_projector(**lens), scenery.fringe())
@@ -75,6 +76,7 @@ def test_a_lens_gives_the_same_picture_under_mitsubas_integrator(scenery, chance
     assert chance(sharper[..., 1:], alone, scenery.paths) < FALSE_ALARM
 
 
+@pytest.mark.slow
 def test_band_limited_mirrors_give_the_same_picture_under_mitsubas_integrator(scenery, chance):
     # An Airy disc about as large as a mirror, so that the mirrors' lattice is seen as well.
     lens = {"aperture_radius": 0.3, "wavelength": 0.02, "off_state": 0.05}

@@ -48,6 +48,7 @@ def test_a_camera_that_is_half_a_pixel_or_a_hundredth_off_is_told_apart(scenery,
     assert chance(ours, native, scenery.paths) < FALSE_ALARM
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("integrator", ["fringe", "path"])
 def test_a_lens_without_diffraction_is_mitsubas_thin_lens(scenery, chance, integrator):
     lens = {"aperture_radius": 0.6, "focus_distance": 9.0}
@@ -164,7 +165,9 @@ def edge_response(inside_px: np.ndarray) -> np.ndarray:
     return 0.5 + waves.sum(axis=1) * (f[1] - f[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("edge_px", [0.0, 0.25, 0.7])
+@pytest.mark.essential
 def test_an_edge_in_focus_is_blurred_by_pixel_and_airy_pattern(edge_px):
     expected = edge_response(16 + edge_px - np.arange(33))
     sampled = mi.render(glowing_half_plane(edge_px, {"type": "path", "max_depth": 2}), spp=1 << 15)

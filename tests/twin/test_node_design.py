@@ -68,6 +68,7 @@ def test_fringes_get_the_contrast_of_pixel_and_both_cones(count, defocus, direct
     assert np.isclose(contrast, pixel * cone**2, atol=2e-3)
 
 
+@pytest.mark.slow
 def test_the_table_is_as_good_as_the_design_makes_it():
     """Where its least squares stop depends on a processor's rounding; how good the nodes are does so by 2 %."""
     shipped, designed = nodes_of_direct_light(16)[:8].astype(float), design(16)[:8]

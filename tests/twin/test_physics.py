@@ -242,6 +242,7 @@ def test_a_stage_that_misses_its_height_turns_the_phase(small):
     assert np.mean(turned(on, off)) == pytest.approx(RAD_PER_MM * error, rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_stage_that_is_not_straight_shifts_the_picture(small):
     z, name, sd = -0.2, "straightness_sd_um", 30.0
     stage = build_stage(StageSettings(straightness_sd_um=sd), seed=1)

@@ -147,6 +147,7 @@ def departure(phase_columns, columns):
     return (phase_columns - columns + PERIOD / 2) % PERIOD - PERIOD / 2
 
 
+@pytest.mark.slow
 def test_chief_rays_through_both_paths_carry_the_column_that_another_tracer_finds(phases):
     stack = np.array(mi.render(mi.load_dict(scene(0.0, phases))), float)[SOME]
     columns = expected_columns()

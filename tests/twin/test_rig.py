@@ -148,6 +148,7 @@ def test_float_frames_say_that_they_do_not_clip(small):
     assert frames.stack.max() > 255
 
 
+@pytest.mark.slow
 def test_what_is_mounted_and_where_is_what_is_seen(small):
     rig, _ = small(noiseless=True)
     patterns = fringe_patterns(rig)[-1:]
@@ -192,6 +193,7 @@ def test_the_identity_names_the_instrument_and_its_settings(small):
     assert small("twin.seed=2")[0].identity.camera_serial != one.identity.camera_serial
 
 
+@pytest.mark.slow
 def test_opening_by_name_gives_the_same_rig_without_the_bench(small):
     chosen = ["camera.rows=60", "camera.cols=80", "twin.optics.camera_focal_px=1417.6875"]
     rig = open_rig("twin", chosen, run="test")
@@ -231,6 +233,7 @@ def test_pictures_that_set_the_exposure_are_rendered_once_and_fringes_where_they
         assert len(rendered) == count
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize("part", ["bga", "plane"])
 def test_fringes_captured_after_white_are_as_if_rendered_alone(small, rendered, part, seed):
@@ -259,6 +262,7 @@ def test_fringes_captured_after_white_are_as_if_rendered_alone(small, rendered, 
     assert error[:, inside].max() > 0  # they were not rendered alike
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", ["height", "part", "placed again"])
 def test_fringes_rendered_with_white_elsewhere_are_not_shown(small, change):
     rig, fresh = (small(noiseless=True)[0] for _ in range(2))
@@ -287,6 +291,7 @@ def test_poses_that_nobody_can_hold_are_refused(small, placement, words):
     assert words in refusal(rig.operator.place, placement)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", ["patterns", "height", "part"])
 def test_interreflections_kept_from_another_scene_are_not_shown(small, change):
     rig, _ = small()

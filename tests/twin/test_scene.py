@@ -35,9 +35,11 @@ def renders(scene: mi.Scene, seeds: Sequence[int] = range(20)) -> np.ndarray:
     return np.stack([stack_of(mi.render(scene, spp=PATHS, seed=mi.UInt32(seed))) for seed in seeds]).astype(float)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "sample", ["plane", "coin", "bga", "diaphragm-concave", "second-board", Placement("board", posture=3)], ids=str
 )
+@pytest.mark.essential
 def test_the_scene_rendered_by_mitsuba_is_the_rigs_irradiance(small, sample):
     rig, _ = small()
     rig.stage.move_to_mm(0.3)
@@ -55,6 +57,7 @@ def test_the_scenes_default_patterns_are_the_fringes_of_the_rigs_procedure(small
     assert_allclose(stack_of(picture), rig.irradiance(fringe_patterns(rig)), rtol=1e-5, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_independent_renders_of_the_scene_are_the_rigs_irradiance_but_for_chance(small, chance):
     # A smooth specimen and so many nodes that the fixed ones are as good as exact.
     exact = ("twin.render.nodes=2048", "twin.render.nodes_indirect=512", "twin.optics.camera_diffraction=false")
@@ -71,6 +74,7 @@ def test_independent_renders_of_the_scene_are_the_rigs_irradiance_but_for_chance
         assert chance(shifted, np.broadcast_to(wrong, shifted.shape), PATHS) < FALSE_ALARM
 
 
+@pytest.mark.slow
 def test_anybodys_integrator_sees_one_pattern_of_the_scene(small, chance):
     # Square pixels: what the Airy pattern does to an edge, the two integrators sample differently.
     rig, _ = small(*MIDDLE, "twin.optics.camera_diffraction=false")
@@ -161,6 +165,7 @@ def test_materials_reach_the_renderer_with_their_parameters(name):
         assert np.ravel(parameters["eta"])[0] == pytest.approx(stated["ior"], rel=1e-3)
 
 
+@pytest.mark.slow
 def test_diffuse_only_makes_every_material_lambertian(small):
     rig, _ = small("twin.render.diffuse_only=true")
     scene = mi.load_dict(gt.scene_dict(rig, "bga"))

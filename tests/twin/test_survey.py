@@ -31,6 +31,7 @@ def loses_nothing(monkeypatch, load) -> None:
     assert ours.any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("glass", [(), GLASS], ids=["ideal", "glass"])
 @pytest.mark.parametrize("part", ["bga", "coin"])
 def test_what_is_left_out_is_dark(small, monkeypatch, part, glass):
@@ -110,6 +111,7 @@ def test_the_dark_part_of_the_field_is_left_out(small):
     assert lit <= dr.width(found.lit) + dr.width(found.edges) - frame < 1.5 * lit
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("glass", [(), GLASS], ids=["ideal", "glass"])
 @pytest.mark.parametrize("height", [-1.4, 0.0, 1.4])
 def test_every_pixel_that_sees_two_shapes_is_found(small, glass, height):

@@ -30,6 +30,7 @@ def test_a_known_scale_error_is_printed_on_the_calibration_board_alone(seed):
     assert np.abs(centres("second-board", *overrides) - rig.board.centres()).max() > 1e-6
 
 
+@pytest.mark.slow
 def test_a_mesh_file_is_of_the_material_that_was_asked_for(tmp_path, small):
     """Under even light a board of ceramic sends back as much more than one of ink as their reflectances say."""
     corners = np.array([[-6.0, -4, 0], [6, -4, 0], [6, 4, 0], [-6, 4, 0]])

@@ -51,6 +51,7 @@ def test_a_posture_with_another_print_is_named(camera, spot_board):
         assert finding.effect_um == pytest.approx(0.85, abs=0.25)  # two prints of 0.6 µm apart
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise_px", [0.005, 0.02, 0.1])
 def test_one_board_in_all_postures_is_no_finding(camera, spot_board, noise_px):
     for seed in range(5):

@@ -30,6 +30,7 @@ def test_a_single_plane_that_stood_elsewhere_is_named():
     assert "at plane 12" in finding.where
 
 
+@pytest.mark.slow
 def test_ordinary_errors_of_a_stage_are_no_slip():
     assert sum(bool(check_stage(READINGS, heights(seed), SCALE)) for seed in range(1000)) <= 5  # 1 is expected
 

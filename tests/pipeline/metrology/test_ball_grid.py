@@ -63,6 +63,7 @@ def normalised(found: BallGridMeasurement, package: Package) -> tuple[np.ndarray
     )
 
 
+@pytest.mark.slow
 def test_heights_diameters_and_places_are_those_made_within_their_sd():
     """Of 5 packages of 20 balls: mean within 4.5 and variance of standardised errors within 5 of their sd (1e-6 each).
 

@@ -16,6 +16,8 @@ from greenough.pipeline.report.results import page_of
 from greenough.pipeline.report.surface_view import SurfaceView, error_layer, uncertainty_layer
 from greenough.pipeline.report.tables import claims_table, facts_table
 
+pytestmark = pytest.mark.browser
+
 ROWS, COLS, PITCH_MM = 240, 320, 0.02
 SLOPE = (0.03, -0.02)
 HOSTILE = "<script>window.canary=1</script><img src=x onerror=window.canary=2>\"'><svg onload=window.canary=3>"

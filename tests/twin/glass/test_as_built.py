@@ -51,6 +51,7 @@ def test_paths_are_pointed_at_the_specimens_middle(seed):
     assert seen_in_the_middle(built) == pytest.approx([0, 0], abs=1e-9)
 
 
+@pytest.mark.slow
 def test_pointing_axis_and_focus_have_the_stated_sizes():
     prescription = load_prescription("camera")
     n = 300

@@ -20,6 +20,7 @@ def greenough(capsys):
     return call
 
 
+@pytest.mark.slow
 def test_optics_draws_both_paths_and_sums_them_up(greenough, tmp_path):
     code, out, err = greenough("twin", "--out", tmp_path / "optics", "--json")
     assert (code, err) == (0, "")

@@ -57,6 +57,7 @@ def seen(z: float, **twins) -> gt.Truth:
     return bench.truth()
 
 
+@pytest.mark.slow
 def test_glass_distorts_the_picture_as_it_was_designed_to():
     """By design a point at 7.9 mm is seen 0.31 % too near to the middle, and others in proportion to their square."""
     field = {"rows": 61, "cols": 81, "focal_px": 22683 / 16}
@@ -146,6 +147,7 @@ def test_pointing_errors_move_the_middle_of_the_picture_and_grow_with_their_size
     assert_allclose(at[2] - at[0], 2 * moved, atol=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [0.0, 600.0])
 def test_focus_errors_move_the_height_where_fringes_are_sharpest(size):
     """Contrast against that at z = 0: discs of light of radius NA times the distance from either sharp plane.

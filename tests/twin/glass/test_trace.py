@@ -113,6 +113,7 @@ def test_a_turned_object_has_a_turned_image(name, turn, x, z, slope_x, slope_y):
     assert met[1] == pytest.approx(rotation[:2, :2] @ met[0], abs=1e-12)
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=10)
 @given(
     tilt=st.floats(-0.02, 0.02),

@@ -68,6 +68,7 @@ def slopes_deg(specimen: Specimen = SPECIMEN) -> np.ndarray:
     return slope
 
 
+@pytest.mark.slow
 def test_apex_errors_are_those_of_the_balls(setup):
     """Nine balls measured too high by 1 to 9 um, on a package that lies shifted and lower."""
     xyz = true_points()
@@ -84,6 +85,7 @@ def test_apex_errors_are_those_of_the_balls(setup):
     assert {found[name].n for name in ("ball_apex_bias", "ball_apex_sd", "coplanarity_error")} == {9}
 
 
+@pytest.mark.slow
 def test_coplanarity_is_judged_by_the_balls_heights_alone(setup):
     """A package measured too high and leaning is as coplanar as it is; with its worst ball too low it is not."""
     xyz = true_points()
@@ -145,6 +147,7 @@ def test_only_where_truth_lies_counts(setup):
     assert found["substrate_p95"].measured > 300.0
 
 
+@pytest.mark.slow
 def test_errors_count_where_the_surface_is_smooth_and_shares_where_it_is_lit_and_seen(setup):
     """In the left half nothing is smooth and errors are large; in the upper half nothing is lit nor measured."""
     xyz = true_points()
@@ -172,6 +175,7 @@ def test_errors_above_balls_are_those_above_their_mesh(setup):
     )
 
 
+@pytest.mark.slow
 def test_limits_are_on_the_treatments_that_earn_them(setup):
     xyz = true_points()
     limited = {
@@ -193,6 +197,7 @@ def test_limits_are_on_the_treatments_that_earn_them(setup):
         assert not any(row.limit for row in ball_claims(setup("paper"), measured(xyz, treatment)))
 
 
+@pytest.mark.slow
 def test_rows_with_limits_fail_where_they_are_missed_and_are_expected_to_hold(setup):
     high = measured(true_points() + 4.1e-3 * UP, DECONVOLVED_FILTERED, sigma_mm=0.1)
     found = rows(setup(), high)
@@ -224,6 +229,7 @@ def test_a_ball_that_was_not_found_is_left_out_and_leaves_coplanarity_unknown(se
     assert found["cap15_valid_share_deconvolved"].measured == pytest.approx(8 / 9, abs=0.03)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("treatment", [DECONVOLVED, DECONVOLVED_FILTERED])
 def test_where_nothing_is_measured_all_rows_are_there_and_those_with_limits_fail(setup, treatment):
     xyz = true_points()
@@ -240,6 +246,7 @@ def test_where_nothing_is_measured_all_rows_are_there_and_those_with_limits_fail
             assert np.isnan(row.measured)
 
 
+@pytest.mark.slow
 def test_points_beside_their_ball_are_infinitely_wrong(setup):
     """Every tenth point of the caps lies between the balls: a spread that 95 % keep to is not one of the others."""
     xyz = true_points()
@@ -257,6 +264,7 @@ def test_points_beside_their_ball_are_infinitely_wrong(setup):
     assert rows(setup(), measured(few, DECONVOLVED_FILTERED))["cap15_p95_deconvolved_filtered"].holds is True
 
 
+@pytest.mark.slow
 def test_a_bowl_has_no_apex(setup):
     """The caps turned upside down about their apexes' heights."""
     xyz = true_points()

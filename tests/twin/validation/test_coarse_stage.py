@@ -52,6 +52,7 @@ def paper(settings: Sequence[str]) -> Calibration:
     )  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("settings", [COARSE, BINNED], ids=["coarse", "binned"])
 def test_a_coarse_stage_errs_as_predicted_and_most_such_stages_by_more_than_the_limit(settings):
     """Errors of many um are predicted to what the grid of places, the picture's rim and coarse pixels leave open."""
@@ -77,6 +78,7 @@ def test_a_binned_camera_sees_a_point_where_the_middle_of_its_pixels_did():
     assert np.allclose(4 * coarse.project(points) + 1.5, camera.project(points), rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_the_twin_in_coarse_pixels_sees_what_the_middles_of_fine_ones_saw():
     """Points of a flat face at full and at half the resolution, through glass: one instrument, but for its pixels."""
     fine = COARSE[1:4]
@@ -107,6 +109,7 @@ def test_the_share_of_stages_that_keep_the_limit_is_a_negative_control(seed):
     assert np.mean(others <= 4.0) < simple + 4 * np.sqrt(simple * (1 - simple) / len(others))
 
 
+@pytest.mark.slow
 def test_few_stages_of_10_um_keep_the_limit_and_all_exact_ones_do():
     """Exact stages leave the boards' bow alone, 2 um (1 σ) over 8 mm."""
     rig, _ = open_twin("twin", COARSE)

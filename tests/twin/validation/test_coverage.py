@@ -77,11 +77,13 @@ def hits(stated, draws=60):
     return np.sum(found, axis=0)
 
 
+@pytest.mark.slow
 def test_intervals_hold_as_often_as_they_say_when_errors_are_as_stated():
     """Four counts of 60: a right program fails once in 1e5 runs."""
     assert hits(1.0).min() >= binom.ppf(1e-5 / 4, 60, 0.95)
 
 
+@pytest.mark.slow
 def test_intervals_of_half_the_length_hold_less_often():
     """Each measurand's by itself hold 67 % of the time: one of them more often than this once in 1e5 runs."""
     limit = binom.isf(1e-5 / 4, 60, 0.6729)

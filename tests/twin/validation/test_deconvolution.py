@@ -99,6 +99,7 @@ def rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
+@pytest.mark.slow
 def test_the_lens_is_found_from_the_board():
     """2 NA / wavelength and NA, both at the specimen, in pixels of 9.9 um; the axis is 6° off the world's z."""
     optics = gt.open("twin")[1].settings.optics
@@ -110,6 +111,7 @@ def test_the_lens_is_found_from_the_board():
     assert abs(found.focus_mm[1]) == pytest.approx(np.tan(tilt) * pixel, rel=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sample", ["coin", "bga"])
 def test_metal_without_noise_is_right_within_a_micrometre(sample):
     clean, _, truth, _, where = judged(sample)

@@ -14,6 +14,8 @@ from greenough.pipeline.calibration import Calibration
 from greenough.twin.validation import demo
 from greenough.twin.validation.claims import Claim
 
+pytestmark = pytest.mark.slow
+
 # Pixels of 40 um; the spots are larger in proportion, or they would not be found.
 COARSE = (
     "twin.optics.glass=false", "camera.rows=240", "camera.cols=320", "twin.optics.camera_focal_px=5670.75",
@@ -115,6 +117,7 @@ def test_exit_code_is_1_if_a_row_is_not_as_expected_and_0_otherwise(finished, do
     assert finished[1] == (1 if unexpected else 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("name", ["bga", "diaphragm-raised"])
 def test_compare_reproduces_the_rows(finished, document, capsys, name, method):
@@ -131,6 +134,7 @@ def test_compare_reproduces_the_rows(finished, document, capsys, name, method):
     assert result["valid_share"] == rows["valid_share"]["measured"]
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_claims_in_another_process(document, tmp_path, monkeypatch):
     """One specimen suffices: what comes before it decides the exposures that it gets.
 

@@ -3,6 +3,7 @@
 from functools import lru_cache
 
 import numpy as np
+import pytest
 
 import greenough.twin as gt
 from greenough.instrument.contract import Placement
@@ -33,6 +34,7 @@ def change_um(slopes: tuple[float, float]) -> np.ndarray:
     return UM_PER_RAD * (full.absolute - direct.absolute)[where]
 
 
+@pytest.mark.slow
 def test_caps_are_free_of_them_and_walls_are_not():
     """A cap of 15 degrees mirrors what is above it, a wall of 45 degrees its neighbour."""
     cap, wall = change_um((0, 15)), change_um((30, 45))

@@ -45,6 +45,7 @@ def test_noise_that_is_stated_rightly_has_the_ratio_one_within_its_own_spread(se
     assert 1 / np.sqrt(2 * found.n) < found.sd < 0.02
 
 
+@pytest.mark.slow
 def test_rows_hold_for_right_noise_and_not_for_wrong_noise(analytic):
     for excess, holds in ((1.0, True), (1.1, False), (0.9, False)):
         row = rows(analytic(settings=STEADY), repeated(excess=excess))["noise_ratio"]

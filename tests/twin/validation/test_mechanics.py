@@ -152,6 +152,7 @@ def test_a_drift_of_the_paths_during_the_planes_tilts_the_scale_of_depth_by_the_
     assert np.ptp(bundle, axis=1).max() == 0
 
 
+@pytest.mark.slow
 def test_noise_of_the_calibration_is_that_of_a_cubic_through_its_planes(analytic):
     """2000 cubics through 30 planes of unit noise: their standard deviations are known to 1.6 %."""
     heights = np.linspace(-1.45, 1.45, 9)

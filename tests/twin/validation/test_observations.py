@@ -90,6 +90,7 @@ def glass():
     return instrument(QUIET)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("posture", [4])
 def test_spots_and_their_phases_are_those_of_rendered_pictures(rendered, glass, posture):
     """Rendered spots scatter by the few paths that each pixel has; a real effect is smooth, and shifts many alike."""
@@ -113,6 +114,7 @@ def test_spots_and_their_phases_are_those_of_rendered_pictures(rendered, glass, 
     assert difference.std() < 1e-3
 
 
+@pytest.mark.slow
 def test_phases_of_the_blank_side_are_those_of_rendered_pictures(rendered, glass):
     placement = Placement("board", face=BLANK)
     phase = rendered(placement).absolute

@@ -53,6 +53,7 @@ def printed_and_measured(board: SpotBoard, error_um: float, scale: float) -> tup
     return printed, scale * printed + rng.normal(0, 1e-3 * error_um, (99, 3))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("error_um", "scale", "mean_holds", "sd_holds"),
     [(0.1, 1.0, True, True), (0.4, 1.0, True, False), (0.05, 1 + 3e-4, False, True)],

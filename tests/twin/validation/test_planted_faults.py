@@ -13,6 +13,7 @@ def seen():
     return {}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", [name for name, planted in FAULTS.items() if planted.shown != "calibration"])
 def test_a_fault_of_a_measurement_is_named_and_nothing_else(fault, seen, tmp_path):
     record_fault(fault, SEED, tmp_path / "recording.h5", seen)

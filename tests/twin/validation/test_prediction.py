@@ -79,6 +79,7 @@ def errors(sample: str, *overrides: str) -> tuple[np.ndarray, np.ndarray]:
     return 1e3 * measured[judged], 1e3 * predicted[judged]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("sample", "strong"), [("coin", 3.0), ("bga", 3.0)])
 def test_rendered_heights_err_as_predicted_from_brightness(sample, strong):
     measured, predicted = errors(sample, "twin.render.bounces=1")
@@ -86,6 +87,7 @@ def test_rendered_heights_err_as_predicted_from_brightness(sample, strong):
     assert np.sqrt(np.mean((measured - predicted) ** 2)) < 0.5
 
 
+@pytest.mark.slow
 def test_interreflections_hardly_matter_on_the_coin():
     measured, predicted = errors("coin")
     assert np.sqrt(np.mean((measured - predicted) ** 2)) < 0.5
@@ -99,6 +101,7 @@ def test_an_evenly_bright_plane_has_no_error():
     assert np.abs(predicted).max() < 0.05e-3
 
 
+@pytest.mark.slow
 def test_pixels_without_light_have_no_prediction():
     rig, bench, _ = calibrated("twin.render.bounces=1")
     rig.operator.place(Placement("bga"))

@@ -86,6 +86,7 @@ def test_page_stands_alone(page):
     assert "Histogram of the errors" in pictures
 
 
+@pytest.mark.slow
 def test_figures_for_papers_lie_in_their_folder(page, tmp_path):
     page(pictures=tmp_path / "figures")
     names = {path.name for path in (tmp_path / "figures").iterdir()}
@@ -128,6 +129,7 @@ def test_header_names_instrument_and_versions(page):
         assert expected in text
 
 
+@pytest.mark.slow
 def test_a_specimen_of_which_nothing_was_measured_is_shown_empty(page):
     nothing = np.full(SHAPE, np.nan)
     empty = maps(xyz=np.full((*SHAPE, 3), np.nan), error_um=nothing, sigma_noise_um=nothing)
@@ -145,6 +147,7 @@ def test_balls_have_a_section_and_a_table_of_measured_and_true_heights(page):
     assert cells == {"0": ["401.20", "400.00", "1.20"], "1": ["–", "410.00", "–"]}
 
 
+@pytest.mark.slow
 def test_the_diaphragms_states_share_the_papers_row_and_column(page):
     states = [maps(f"diaphragm-{state}") for state in ("concave", "equilibrated", "raised")]
     pictures = pictures_of(page(specimens=states))

@@ -3,6 +3,7 @@
 import pytest
 
 
+@pytest.mark.slow
 def test_airy_radius_is_that_of_the_aperture_in_pixels_at_the_specimen(analytic):
     # 0.61 wavelengths over the aperture's sine, on pixels of 224.56 mm / 22683.
     expected = 0.6098 * 0.525e-3 / 0.015 / (224.56 / 22683)

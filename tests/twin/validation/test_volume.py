@@ -135,6 +135,7 @@ def test_points_are_lost_where_the_error_leads_out_of_the_calibrated_heights(ana
     assert share_lost(setup, PhaseMap(z, image, image, image > 0, image, image)) == 1
 
 
+@pytest.mark.slow
 def test_noise_that_blocks_leave_is_predicted_too(analytic):
     """On a perfect stage all there is: 1.6 um / 16, and 2.58 times that for 99 %."""
     setup = analytic()
@@ -192,6 +193,7 @@ def test_systematic_rows_average_noise_away_and_leave_height_and_tilt_aside(anal
         assert rows[f"depth{part}_systematic_p99"].measured < 1.5
 
 
+@pytest.mark.slow
 def test_each_kind_of_plane_has_its_own_percentile(analytic):
     """Errors of 2 um on slopes alone: |2 + noise of 1.6| has its 95 % at 2 + 1.645 * 1.6."""
     rows = rows_of(analytic(), volume(lambda xyz: 2e-3 * (np.ptp(xyz[..., 2]) > 0.1) * np.ones(xyz.shape[:2])))
@@ -202,6 +204,7 @@ def test_each_kind_of_plane_has_its_own_percentile(analytic):
     assert rows["depth_p95_volume"].predicted == pytest.approx(1.96 * 1.6 * np.hypot(1, share), rel=0.03)
 
 
+@pytest.mark.slow
 def test_a_stage_that_goes_too_far_is_predicted_in_every_row_of_the_paper_s_method(analytic):
     def too_far(reading: float, xy: np.ndarray) -> np.ndarray:
         return np.full(len(xy), 1.004 * reading)

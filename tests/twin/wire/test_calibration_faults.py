@@ -12,6 +12,8 @@ from plain_scene import largest_error_um
 from process_faults import PROCESS_KINDS, broken_claims_of_process, run_process
 from wire_faults import KINDS, broken_by_call, order
 
+pytestmark = pytest.mark.wire
+
 HARMLESS = [name for name, kind in KINDS.items() if kind.harmless]
 LONG = ("all devices: silent", "camera: silent")  # Aravis has time-outs of its own
 A_STEP = 0.06  # of a calibration
@@ -31,6 +33,7 @@ def bench(tmp_path):
     assert left_since(before) == ()
 
 
+@pytest.mark.slow
 def test_harmless_faults_change_no_number(bench):
     for name in HARMLESS:
         order(bench, KINDS[name], Random(name))
@@ -41,6 +44,7 @@ def test_harmless_faults_change_no_number(bench):
     assert largest_error_um(call.calibration) < ERROR_LIMIT_UM
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "names",
     [harmful("projector"), harmful("stage"), harmful("camera", "operator", "interrupt")],
@@ -67,6 +71,7 @@ def test_each_fault_is_told_leaves_all_safe_and_the_next_call_goes_on(bench, nam
     assert largest_error_um(last.calibration) < ERROR_LIMIT_UM
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["process: killed", "process: SIGTERM to its group"])
 def test_a_calibration_whose_process_is_ended_goes_on(name, tmp_path):
     need_aravis()
@@ -74,6 +79,7 @@ def test_a_calibration_whose_process_is_ended_goes_on(name, tmp_path):
     assert broken_claims_of_process(PROCESS_KINDS[name], ended, after) == []
 
 
+@pytest.mark.slow
 def test_a_wrong_frame_would_be_noticed(bench):
     """The camera sees, once, what was shown for the pattern before."""
     expose = bench.scene.expose

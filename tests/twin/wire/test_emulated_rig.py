@@ -25,6 +25,8 @@ from greenough.pipeline.acquisition import calibrate, measure
 from greenough.twin.wire.emulated_rig import EmulatedRig
 from greenough.twin.wire.twin_scene import TwinScene
 
+pytestmark = pytest.mark.wire
+
 SMALL = ("camera.rows=120", "camera.cols=160", "twin.optics.camera_focal_px=2835.375", "twin.render.nodes=16")
 # Enough pixels to find the spots, and as few postures and planes as a calibration takes.
 QUICK = (
@@ -60,6 +62,7 @@ def sequences(rig: Rig, heights: list[float]) -> list[Frames]:
     return taken
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize("bits", [8, 16])
 def test_frames_through_the_wire_are_the_twins_own_bit_by_bit(seed, bits):
@@ -75,6 +78,7 @@ def test_frames_through_the_wire_are_the_twins_own_bit_by_bit(seed, bits):
         assert (theirs.full_scale_dn, theirs.black_level_dn) == (ours.full_scale_dn, ours.black_level_dn)
 
 
+@pytest.mark.slow
 def test_a_calibration_and_a_measurement_through_the_wire_are_those_without_it(tmp_path):
     def directly(run: str, work: Callable[[Rig], object]):
         with open_rig("twin", QUICK, run=run) as rig:
@@ -94,6 +98,7 @@ def test_a_calibration_and_a_measurement_through_the_wire_are_those_without_it(t
     np.testing.assert_allclose(theirs.sigma_noise, ours.sigma_noise, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_projector_that_shows_nothing_is_dark_and_half_the_current_is_half_the_light():
     dark = ("twin.light.ambient=0", "twin.stability.flicker=0")
 
@@ -121,6 +126,8 @@ def test_an_empty_table_gives_dark_frames_and_no_error():
     assert stack.mean() < 10
 
 
+@pytest.mark.slow
+@pytest.mark.essential
 def test_the_stage_is_where_it_went_and_not_where_it_was_sent():
     def work(rig, emulated):
         rig.operator.place(Placement("plane"))
@@ -142,6 +149,7 @@ def test_the_stage_is_where_it_went_and_not_where_it_was_sent():
     assert (one != other).mean() > 0.3
 
 
+@pytest.mark.slow
 def test_nothing_is_left_after_close():
     def open_files() -> set[str]:
         return {os.readlink(f"/proc/self/fd/{fd}") for fd in os.listdir("/proc/self/fd") if _is_open(fd)}
@@ -192,6 +200,8 @@ def test_a_port_that_is_taken_is_one_sentence_and_nothing_stays_open():
         assert set(threading.enumerate()) == threads
 
 
+@pytest.mark.slow
+@pytest.mark.essential
 def test_serve_says_where_and_ends_by_an_interrupt():
     need_aravis()
     address = free_address()

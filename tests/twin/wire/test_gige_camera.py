@@ -21,6 +21,8 @@ from greenough.instrument.aravis import find_libraries, find_usb_library
 from greenough.instrument.errors import InputError
 from greenough.twin.wire.gige_camera import PORT, GigeCamera, Trigger
 
+pytestmark = pytest.mark.wire
+
 CLIENT = ("127.0.0.1", 50_000)
 OTHER = ("127.0.0.1", 50_001)
 ACCESS_DENIED, INVALID_PARAMETER, INVALID_ADDRESS, WRITE_PROTECT, NOT_IMPLEMENTED = (
@@ -141,6 +143,7 @@ def test_nothing_is_exposed_without_acquisition_and_trigger_mode():
     assert camera.triggers == 0
 
 
+@pytest.mark.slow
 def test_random_and_mutated_packets_neither_crash_nor_grow_it():
     """100 000 datagrams: noise, and the packets above with bytes changed, cut off or appended."""
     rng = random.Random(5)

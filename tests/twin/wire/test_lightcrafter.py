@@ -19,6 +19,8 @@ from greenough.instrument.lightcrafter_packets import Packet, PacketType, encode
 from greenough.twin.wire.lightcrafter import MAX_CLIENTS, Fault, Faults, LightCrafterServer, at_request
 from greenough.twin.wire.lightcrafter_device import LightCrafterDevice
 
+pytestmark = pytest.mark.wire
+
 GOLDEN = Path(__file__).parents[2] / "instrument" / "lightcrafter_packets.txt"
 UNUSED = {"get mode *", "static mode *", "test pattern 0 *"}  # by the driver
 PATIENT_S = 60.0

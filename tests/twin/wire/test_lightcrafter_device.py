@@ -34,6 +34,8 @@ from greenough.instrument.lightcrafter_packets import (
 from greenough.twin.wire.lightcrafter import Dialogue, Fault, ResetByFault, at_request
 from greenough.twin.wire.lightcrafter_device import LONGEST_PAYLOAD, LightCrafterDevice, Shown
 
+pytestmark = pytest.mark.wire
+
 READ, WRITE = PacketType.READ, PacketType.WRITE
 SHAPE = (684, 608)
 PACKETS = 100_000
@@ -382,6 +384,7 @@ def mutated(rng: random.Random, samples: list[bytes]) -> bytes:
     return data
 
 
+@pytest.mark.slow
 def test_100_000_random_and_mutated_packets_are_answered_by_whole_packets_and_held_within_bounds() -> None:
     rng = random.Random(5)
     samples = list(golden().values())

@@ -15,6 +15,8 @@ from greenough.instrument.errors import InputError
 from greenough.instrument.remote_operator import LONGEST_LINE, RemoteOperator
 from greenough.twin.wire.placements import PlacementServer, answer
 
+pytestmark = pytest.mark.wire
+
 MESH = Placement("part.stl", unit="um", pose_mm_deg=(1.5, -0.25, 0.0, 0.0, 2.0, 1e-3), material="metal")
 
 
@@ -74,6 +76,7 @@ def _mutated(line: bytes, rng: random.Random) -> bytes:
     return bytes(data)
 
 
+@pytest.mark.slow
 def test_fuzzed_requests_are_answered_by_one_line_and_never_place_what_was_not_asked():
     rng = random.Random(7)
     good = [json.dumps({"place": asdict(placement)}).encode() for placement in (Placement("coin"), MESH)]

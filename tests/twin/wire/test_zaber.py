@@ -16,6 +16,8 @@ from greenough.twin.wire.line_faults import wrong_checksum
 from greenough.twin.wire.line_server import LineServer
 from greenough.twin.wire.zaber import StageModel, ZaberDevice
 
+pytestmark = pytest.mark.wire
+
 INSTANT = StageModel(instant=True)
 
 

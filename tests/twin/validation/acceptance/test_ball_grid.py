@@ -47,6 +47,7 @@ def test_a_ball_that_is_not_seen_and_a_low_one_that_seems_as_high_as_the_others_
         assert found[name].holds is False
 
 
+@pytest.mark.slow
 def test_a_ball_that_is_measured_too_high_changes_the_coplanarity_and_the_apexes(array):
     found = array(higher={(0, 0): 0.1})
     assert abs(found["bga_regression_coplanarity"].value) > 4
@@ -54,6 +55,7 @@ def test_a_ball_that_is_measured_too_high_changes_the_coplanarity_and_the_apexes
     assert found["bga_apex_height_mean"].value == pytest.approx(100 / 62, abs=0.3)
 
 
+@pytest.mark.slow
 def test_diameters_are_judged_by_caps_of_45_degrees_and_smaller_ones_only_report(array, monkeypatch):
     assert array()["bga_diameter_mean"].limit == pytest.approx(5.0)
     monkeypatch.setattr(ball_grid, "LEAST_CAP_DEG", 80.0)  # more than is looked at

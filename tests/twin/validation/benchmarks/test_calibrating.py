@@ -56,6 +56,7 @@ def test_opencv_sees_the_same_spots(observed):
     assert theirs == pytest.approx(np.hypot(*seen.camera.reprojection_rmse_px), rel=0.1)
 
 
+@pytest.mark.slow
 def test_the_phases_go_with_the_observations(observed):
     rig_file, seen, data = observed
     assert data.phases.shape == (10, *rig_file.camera.shape)

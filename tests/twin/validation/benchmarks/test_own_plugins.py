@@ -34,6 +34,7 @@ def test_a_picture_is_what_our_projector_shows_there(small):
         np.testing.assert_allclose(picture[picked[0], picked[1]], ours.numpy(), atol=2e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("texels", "same"), [(0, True), (1, False)])
 def test_both_render_the_same_light_and_a_quarter_of_a_column_shows(small, chance, texels, same):
     """Equal renderers are refused once in a thousand times."""

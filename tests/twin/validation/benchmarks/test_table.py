@@ -160,6 +160,7 @@ def test_the_start_up_has_all_its_rows(monkeypatch: pytest.MonkeyPatch) -> None:
     assert [row.limit for row in found if row.limit is not None] == [startup.HELP_LIMIT_S, 0, 0, 0, 0]
 
 
+@pytest.mark.slow
 def test_captures_have_all_their_rows(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(capturing, "REPEATS", 1)
     # Spots on coarse pixels must be large to be found.

@@ -80,6 +80,7 @@ def test_nothing_is_left_without_the_effects(undisturbed):
     np.testing.assert_allclose(ours[inside], others[inside], atol=0.005)  # single precision's of 100 DN
 
 
+@pytest.mark.slow
 def test_cases_of_a_run_share_the_noise_that_both_have():
     """Read noise is the same with and without shot noise, and none of it hangs on what is measured."""
     off = [effect.off for name, effect in EFFECTS.items() if name not in ("shot noise", "read noise")]

@@ -51,6 +51,7 @@ def test_an_interrupted_study_goes_on_and_does_no_run_twice(study_file, visits, 
     assert len(visits("interrupted")) == 6 + 1  # the one that was cut off before it was kept
 
 
+@pytest.mark.slow
 def test_a_killed_study_keeps_its_finished_runs(study_file, laboratory, tmp_path):
     path, out = study_file("killed", seeds="20"), tmp_path / "out"
     words = [sys.executable, "-c", "from greenough.instrument.command import main; main()"]
@@ -163,6 +164,7 @@ def test_rates_are_judged_line_by_line(study_file, tmp_path, capsys, laboratory)
     assert rows["miss, rate"]["holds"] is False
 
 
+@pytest.mark.slow
 def test_cases_may_have_experiments_and_instruments_of_their_own_and_must_then_agree(
     study_file, tmp_path, capsys, laboratory
 ):

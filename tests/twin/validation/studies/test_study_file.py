@@ -79,6 +79,7 @@ def test_a_kind_that_fails_to_import_is_no_wrong_field(tmp_path, monkeypatch):
         load_study(written(tmp_path, 'name = "mine"\nkind = "broken_kind:measure"\nseeds = 1'))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", builtin_studies())
 def test_built_in_studies_can_be_run(name):
     """Rig and twin take the settings of every case."""

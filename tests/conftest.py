@@ -1,0 +1,64 @@
+"""Rules for all tests: one Hypothesis profile, a time-out for each test, and how long an unmarked test may take."""
+
+import os
+from collections.abc import Iterator
+
+import pytest
+from hypothesis import settings
+
+LONGEST_S = 2.0
+"""An unmarked test that takes longer fails the run where GREENOUGH_LONGEST_TEST is set, as in CI."""
+
+TIMEOUTS_S = {"slow": 1200, "browser": 600, "peers": 600, "full": 7200}
+"""A test that takes longer hangs; ``timeout`` in pyproject.toml is that of all others."""
+
+# Busy machines make single examples slow, and the same examples every time make failures repeatable.
+settings.register_profile("greenough", deadline=None, derandomize=True)
+settings.load_profile("greenough")
+
+_too_long: list[str] = []
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    for item in items:
+        for mark, seconds in TIMEOUTS_S.items():
+            if item.get_closest_marker(mark) and not item.get_closest_marker("timeout"):
+                item.add_marker(pytest.mark.timeout(seconds))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
+    """Note the processor time of a test and of the processes that it started."""
+    before = _processor_s()
+    try:
+        return (yield)
+    finally:
+        item.user_properties.append(("processor_s", _processor_s() - before))
+
+
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    """Collect tests that should be marked. The time of fixtures that tests share is not a test's own."""
+    if report.when != "call" or not report.passed or set(report.keywords) & TIMEOUTS_S.keys():
+        return
+    # On a busy machine the clock counts what others compute; a test that only waits is bound by its time-out.
+    seconds = min(report.duration, dict(report.user_properties).get("processor_s", report.duration))
+    if seconds > LONGEST_S:
+        _too_long.append(f"{report.nodeid} takes {seconds:.1f} s")
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
+    if _too_long and os.environ.get("GREENOUGH_LONGEST_TEST") and exitstatus == pytest.ExitCode.OK:
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    if _too_long and os.environ.get("GREENOUGH_LONGEST_TEST"):
+        terminalreporter.section(f"unmarked tests above {LONGEST_S:g} s: make them faster, or mark them slow")
+        for line in _too_long:
+            terminalreporter.write_line(line)
+
+
+def _processor_s() -> float:
+    used = os.times()
+    return used.user + used.system + used.children_user + used.children_system

@@ -97,7 +97,7 @@ def test_light_runs_back_the_way_it_came(built, real):
     assert np.abs(ours - start).max() < (1e-11 if real is Double else IMAGE_MM)
 
 
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(
     name=st.sampled_from(["camera", "projector"]),
     turn=st.floats(0, 2 * np.pi),
@@ -113,7 +113,7 @@ def test_a_turned_object_has_a_turned_image(name, turn, x, z, slope_x, slope_y):
     assert met[1] == pytest.approx(rotation[:2, :2] @ met[0], abs=1e-12)
 
 
-@settings(deadline=None, max_examples=10)
+@settings(max_examples=10)
 @given(
     tilt=st.floats(-0.02, 0.02),
     decentre=st.floats(-0.2, 0.2),

@@ -66,7 +66,6 @@ _POSTURES, _PLANES = 6, 8
 _STEPS_IN_ALL = _POSTURES + 1 + _PLANES
 _MOST_FOR_AUTO_EXPOSURE = 12
 _FELT_BY = {"projector": ("request", "upload"), "stage": ("message", "move"), "operator": ("place",)}  # others at once
-_PATIENT_S = 120.0
 _POLL_S = 0.02
 
 
@@ -83,8 +82,6 @@ class Call:
         Whether every fault that was ordered has struck.
     after_s : float
         From the first time that the faulty device was spoken to since to the error, or to the end.
-    closing_s : float
-        From there until the rig had been left.
     safe_when_told : bool
         Whether the projector was dark and the stage at rest when the error came, or the end.
     lit, moves : bool
@@ -107,7 +104,6 @@ class Call:
     calibration: Calibration | None
     struck: bool
     after_s: float
-    closing_s: float
     safe_when_told: bool
     lit: bool
     moves: bool
@@ -138,11 +134,10 @@ class _Blow:
 
 @dataclass(frozen=True)
 class Ended:
-    """How a process ended: its exit code, what it said, and how long the camera's process and control outlived it."""
+    """How a process ended: its exit code, what it said, and how long its control of the camera outlived it."""
 
     code: int
     said: str
-    camera_process_s: float
     camera_held_s: float
 
 
@@ -240,8 +235,7 @@ class Bench:
                     safe_when_told = not (self.rig.projector.lit or self.rig.stage.moves)
         except (Exception, KeyboardInterrupt) as raised:
             error = raised
-        closed_s = time.monotonic()
-        ended_s = ended_s or closed_s
+        ended_s = ended_s or time.monotonic()
         struck = self._blow.struck and not self._due
         felt_s, self._blow = self._blow.felt_s, _Blow("")
         self._due.clear()
@@ -250,7 +244,6 @@ class Bench:
             calibration=calibration,
             struck=struck,
             after_s=ended_s - (felt_s or ended_s),
-            closing_s=closed_s - ended_s,
             safe_when_told=safe_when_told,
             lit=self.rig.projector.lit,
             moves=self.rig.stage.moves,
@@ -283,15 +276,13 @@ class Bench:
         ):
             self.at("any", number, "process", strike)
             try:
-                _, said = process.communicate(timeout=_PATIENT_S)
-            except subprocess.TimeoutExpired:
+                _, said = process.communicate()
+            except BaseException:  # such as the time-out of the test
                 os.killpg(process.pid, signal.SIGKILL)
                 raise
-        began = time.monotonic()
         outlived_s = wait_until(lambda: not any(map(_is_alive, children)))
         held_s = wait_until(lambda: not self.rig.camera.is_controlled) + outlived_s
-        assert time.monotonic() - began < _PATIENT_S, "the camera's process did not end, or the camera stayed taken"
-        return Ended(process.returncode, said, outlived_s, held_s)
+        return Ended(process.returncode, said, held_s)
 
     def _check_frames(self, rig: Rig, worst: list[float]) -> None:
         """Have all frames that the rig hands out compared with what they should be."""
@@ -381,11 +372,11 @@ def missing_exposures(kept: tuple[str, ...]) -> tuple[int, int]:
 
 
 def wait_until(holds: Callable[[], bool]) -> float:
-    """How long it took until ``holds``: 0 where it does, and at most a minute."""
+    """How long it took until ``holds``: 0 where it does. What never holds is ended by the time-out of the test."""
     if holds():
         return 0.0
     began = time.monotonic()
-    while not holds() and time.monotonic() - began < _PATIENT_S / 2:
+    while not holds():
         time.sleep(_POLL_S)
     return time.monotonic() - began
 

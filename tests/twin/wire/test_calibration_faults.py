@@ -12,6 +12,7 @@ from plain_scene import largest_error_um
 from process_faults import PROCESS_KINDS, broken_claims_of_process, run_process
 from wire_faults import KINDS, broken_by_call, order
 
+pytestmark = pytest.mark.timeout(1200)  # and not after a time that a busy machine may take
 HARMLESS = [name for name, kind in KINDS.items() if kind.harmless]
 LONG = ("all devices: silent", "camera: silent")  # Aravis has time-outs of its own
 A_STEP = 0.06  # of a calibration

@@ -29,7 +29,7 @@ def chromium() -> "Iterator[Browser]":
     try:
         driver = importlib.import_module("playwright.sync_api")
     except ImportError as error:
-        _lack(f"playwright cannot be imported ({error}): pip install playwright")
+        _lack(f"playwright cannot be imported ({error}): pip install '.[peers]'")
     with driver.sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=found, args=FLAGS)
         yield browser

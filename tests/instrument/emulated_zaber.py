@@ -8,8 +8,7 @@ from greenough.twin.wire.zaber import StageModel, ZaberDevice
 
 MICROSTEP_UM, ZERO = 0.047625, 100_000
 INSTANT = StageModel(travel=200_000, start=30_000, instant=True)
-REPLY_S = 0.4  # where answers fail to come; where they come, a busy machine may take its time
-SLACK_S = 20.0  # of a busy machine; nothing is judged by it but that waits end
+REPLY_S = 0.4  # for answers that do not come: see ``hurry``
 
 
 @contextlib.contextmanager
@@ -28,11 +27,32 @@ def options(port: str, **settings) -> ZaberSettings:
     values = {
         "microstep_um": MICROSTEP_UM,
         "zero_microsteps": ZERO,
-        "reply_timeout_s": 10.0,
+        "reply_timeout_s": 60.0,
         "settle_timeout_s": 20.0,
         "home_timeout_s": 60.0,
     }
     return ZaberSettings(port=port, **(values | settings))
+
+
+def hurry(device: ZaberDevice, stage: ZaberStage, message: int) -> None:
+    """From message ``message`` on, wait for answers ``REPLY_S`` only; before, as long as a busy machine takes."""
+    link = stage._link
+    if message == device.messages + 1:
+        link._timeout_s = REPLY_S
+    else:
+        device.at_message(message - 1, lambda: setattr(link, "_timeout_s", REPLY_S))
+
+
+@contextlib.contextmanager
+def hurried(device: ZaberDevice, stage: ZaberStage, message: int):
+    """``hurry`` until the context is left."""
+    link = stage._link
+    patient_s = link._timeout_s
+    hurry(device, stage, message)
+    try:
+        yield
+    finally:
+        link._timeout_s = patient_s
 
 
 def heard(device: ZaberDevice) -> list[str]:

@@ -203,7 +203,7 @@ command.main()
             assert process.stdout.readline() == b"writing\n"
             assert len(list(tmp_path.iterdir())) == 1
             process.send_signal(number)
-            assert process.wait(timeout=30) == code
+            assert process.wait() == code
         assert list(tmp_path.iterdir()) == []
 
 

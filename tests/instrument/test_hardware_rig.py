@@ -17,7 +17,7 @@ from greenough.twin.wire import lightcrafter
 from greenough.twin.wire.emulated_rig import EmulatedRig
 from greenough.twin.wire.gige_stream import FrameFault
 
-SETTINGS = ("camera.rows=24", "camera.cols=32", "genicam.frame_timeout_s=2.0", "zaber.reply_timeout_s=5.0")
+SETTINGS = ("camera.rows=24", "camera.cols=32", "genicam.frame_timeout_s=60.0", "zaber.reply_timeout_s=60.0")
 # Each pattern has a grey value of its own, which its frame shows.
 PATTERNS = np.broadcast_to(10 * np.arange(1, 15, dtype=np.uint8)[:, None, None], (14, 684, 608))
 
@@ -105,7 +105,7 @@ def test_exposures_are_those_that_camera_projector_and_rig_file_allow(emulated):
 
 def test_a_frame_that_fails_leaves_the_rig_dark_and_the_next_capture_is_whole(emulated):
     emulated.camera.frame_faults[13] = FrameFault("lost")
-    with open_emulated(emulated) as rig:
+    with open_emulated(emulated, "genicam.frame_timeout_s=2.0") as rig:
         with pytest.raises(TimedOut, match="software trigger for frame 13"):
             rig.capture(PATTERNS)
         assert not emulated.projector.lit

@@ -156,7 +156,7 @@ def ask(view: live.View) -> Iterator[Callable[..., tuple[int, Any, bytes]]]:
 
 
 def fetch(address: str, path: str, method: str = "GET", **headers: str) -> tuple[int, Any, bytes]:
-    connection = http.client.HTTPConnection(address.removeprefix("http://").rstrip("/"), timeout=10)
+    connection = http.client.HTTPConnection(address.removeprefix("http://").rstrip("/"), timeout=60)
     try:
         connection.request(method, path, headers=headers)
         answer = connection.getresponse()
@@ -311,7 +311,7 @@ def test_what_a_device_does_wrong_is_told_to_the_page_and_ends_the_command(green
         page = threading.Thread(target=poll)
         page.start()
         code, errors = greenough(rig)
-        page.join(10)
+        page.join()
         assert code == 2
         assert errors.splitlines()[-1] == f"greenough: {LOST}"
         assert told[-1]["error"] == str(LOST)

@@ -71,7 +71,7 @@ def test_what_was_recorded_before_placements_had_materials_is_read():
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(script=asked)
 def test_a_replay_answers_bit_by_bit_as_the_rig_did(
     tmp_path_factory: pytest.TempPathFactory, fake_rig, dtype, script
@@ -146,7 +146,7 @@ def test_a_resumed_run_goes_on_behind_its_last_exposure(tmp_path: Path, fake_rig
             rig.capture(patterns)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(data=st.data())
 def test_a_damaged_recording_is_refused_or_gives_the_same_frames(
     tmp_path_factory: pytest.TempPathFactory, fake_rig, data

@@ -6,11 +6,10 @@ import logging
 import os
 import random
 import threading
-import time
 
 import pytest
 import serial
-from emulated_zaber import MICROSTEP_UM, REPLY_S, SLACK_S, ZERO, opened, options
+from emulated_zaber import MICROSTEP_UM, REPLY_S, ZERO, hurried, hurry, opened, options
 
 from greenough.instrument.device_errors import BadReply, ConnectionLost, DeviceError, TimedOut
 from greenough.instrument.zaber_stage import ZaberStage
@@ -31,13 +30,13 @@ from greenough.twin.wire.zaber import StageModel
 )
 @pytest.mark.parametrize("message", [1, 2, 3, 4])
 def test_a_damaged_reply_at_any_point_is_never_taken_for_an_answer(how, kinds, message):
-    with opened(reply_timeout_s=10.0 if kinds is BadReply else REPLY_S) as (device, _, stage):
+    with opened() as (device, _, stage):
         stage.move_to_mm(-0.5)
-        device.at_message(device.messages + message, lambda: device.spoil(how))
-        began = time.monotonic()
-        with pytest.raises(kinds) as error:
+        damaged = device.messages + message
+        device.at_message(damaged, lambda: device.spoil(how))
+        waiting = contextlib.nullcontext() if kinds is BadReply else hurried(device, stage, damaged)
+        with waiting, pytest.raises(kinds) as error:
             stage.move_to_mm(0.5)
-        assert time.monotonic() - began < 4 * REPLY_S + SLACK_S
         assert "Zaber stage 1 on" in str(error.value)
         assert not device.moves
         stage.move_to_mm(0.25)  # and the next exchange is sound
@@ -68,14 +67,14 @@ def test_what_nobody_asked_for_is_left_aside():
 
 
 def test_a_reply_that_comes_twice_or_too_late_answers_nothing_else():
-    with opened(reply_timeout_s=REPLY_S) as (device, _, stage):
+    with opened() as (device, _, stage):
         stage.move_to_mm(0.5)
         device.spoil(doubled)
         first = stage.position_mm
         stage.move_to_mm(-0.5)
         assert stage.position_mm == pytest.approx(first - 1.0, abs=MICROSTEP_UM * 2e-3)
         device.delay()
-        with pytest.raises(TimedOut):
+        with hurried(device, stage, device.messages + 1), pytest.raises(TimedOut):
             _ = stage.position_mm
         device.turn_knob(2000)
         assert stage.position_mm == pytest.approx(-0.5 + 2 * MICROSTEP_UM, abs=MICROSTEP_UM * 1e-3)
@@ -93,12 +92,10 @@ class Chatterer:
         return [b"!01 1 IDLE --\r\n"] * 20
 
 
+@pytest.mark.timeout(120)
 def test_a_flood_of_alerts_does_not_make_a_wait_endless():
-    with LineServer(Chatterer()) as server:
-        began = time.monotonic()
-        with pytest.raises(TimedOut):
-            ZaberStage(options(server.terminal, reply_timeout_s=REPLY_S), (-1, 1)).connect()
-        assert time.monotonic() - began < REPLY_S + SLACK_S
+    with LineServer(Chatterer()) as server, pytest.raises(TimedOut):
+        ZaberStage(options(server.terminal, reply_timeout_s=REPLY_S), (-1, 1)).connect()
 
 
 def test_an_answer_behind_many_alerts_is_found():
@@ -108,31 +105,29 @@ def test_an_answer_behind_many_alerts_is_found():
         assert stage.position_mm == pytest.approx(0.5, abs=MICROSTEP_UM * 1e-3)
 
 
+@pytest.mark.timeout(120)
 @pytest.mark.parametrize("terminal", [True, False], ids=["terminal", "tcp"])
 def test_silence_ends_in_the_stated_time(terminal):
     with contextlib.ExitStack() as held:
-        device, _, stage = held.enter_context(opened(terminal=terminal, reply_timeout_s=REPLY_S))
+        device, _, stage = held.enter_context(opened(terminal=terminal))
         device.fall_silent()
-        began = time.monotonic()
-        with pytest.raises(TimedOut, match=r"an answer did not come within 0\.4 s"):
-            stage.move_to_mm(0.5)
-        with pytest.raises(TimedOut):  # leaving tells, too, that rest could not be confirmed
-            held.close()
-        assert time.monotonic() - began < 4 * REPLY_S + SLACK_S
+        with hurried(device, stage, device.messages + 1):
+            with pytest.raises(TimedOut, match=r"an answer did not come within 0\.4 s"):
+                stage.move_to_mm(0.5)
+            with pytest.raises(TimedOut):  # leaving tells, too, that rest could not be confirmed
+                held.close()
 
 
 @pytest.mark.parametrize("terminal", [True, False], ids=["terminal", "tcp"])
 @pytest.mark.parametrize("message", [1, 2, 3, 4])
-def test_a_port_that_is_pulled_out_is_told_at_once(terminal, message):
+def test_a_port_that_is_pulled_out_is_told_and_no_answer_is_waited_for(terminal, message):
     with contextlib.ExitStack() as held:
-        device, server, stage = held.enter_context(opened(terminal=terminal, reply_timeout_s=30))
+        device, server, stage = held.enter_context(opened(terminal=terminal))
         device.at_message(device.messages + message, server.close)
-        began = time.monotonic()
-        with pytest.raises(ConnectionLost):
+        with pytest.raises(ConnectionLost):  # a wait would end in TimedOut
             stage.move_to_mm(0.5)
         with pytest.raises(ConnectionLost):
             held.close()
-        assert time.monotonic() - began < SLACK_S
 
 
 FAULTS = {
@@ -156,12 +151,15 @@ FAULTS = {
 def test_no_fault_at_any_point_of_a_scan_ends_in_a_wrong_position(fault):
     """A position that is given out is the true one, and a scan that does not end is told why, and is at rest."""
     rng = random.Random(fault)
-    short = {"never arrives": {"settle_timeout_s": 0.2}}
-    short |= {name: {"reply_timeout_s": REPLY_S} for name in ("silence", "late", "broken off")}
-    for message in rng.sample(range(1, 20), 2 if fault in short else 6):
+    unanswered = fault in ("silence", "late", "broken off")
+    settings = {"settle_timeout_s": 0.2} if fault == "never arrives" else {}
+    for message in rng.sample(range(1, 20), 2 if unanswered or settings else 6):
         with contextlib.ExitStack() as held:
-            device, server, stage = held.enter_context(opened(**short.get(fault, {})))
-            device.at_message(device.messages + message, lambda d=device, s=server: FAULTS[fault](d, s))
+            device, server, stage = held.enter_context(opened(**settings))
+            struck = device.messages + message
+            device.at_message(struck, lambda d=device, s=server: FAULTS[fault](d, s))
+            if unanswered:
+                hurry(device, stage, struck)
             told = None
             try:
                 for target in (0.4, -0.4, 0.0, 0.8):  # five messages each, and leaving
@@ -224,9 +222,10 @@ def test_nothing_is_left_of_a_stage_after_leaving_or_failing():
         pass
     threads, files = threading.active_count(), set(os.listdir("/proc/self/fd"))
     for fault in (None, lambda device, server: server.close(), lambda device, server: device.fall_silent()):
-        with contextlib.suppress(DeviceError), opened(reply_timeout_s=REPLY_S) as (device, server, stage):
+        with contextlib.suppress(DeviceError), opened() as (device, server, stage):
             if fault:
                 fault(device, server)
+                hurry(device, stage, device.messages + 1)
             stage.move_to_mm(0.1)
     with contextlib.suppress(DeviceError), opened(limits_mm=(50.0, 60.0)):
         pass

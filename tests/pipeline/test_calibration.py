@@ -126,7 +126,7 @@ def test_saving_leaves_nothing_else_in_the_folder(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["cal.h5"]
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(share=st.floats(0, 0.999))
 def test_a_truncated_file_is_refused_wherever_it_was_cut(tmp_path_factory, share):
     path = tmp_path_factory.mktemp("cut") / "cal.h5"
@@ -137,7 +137,7 @@ def test_a_truncated_file_is_refused_wherever_it_was_cut(tmp_path_factory, share
         Calibration.load(path)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(pixel=st.integers(0, 12 * 16 - 1), bit=st.integers(0, 31))
 def test_a_flipped_bit_in_an_array_is_noticed(tmp_path_factory, pixel, bit):
     path = tmp_path_factory.mktemp("flip") / "cal.h5"

@@ -82,7 +82,7 @@ def test_the_boards_scale_lengthens_everything_and_the_tables_drift_nothing(mode
     assert uncertainty.covariance(pixels, z)[0, 2, 2] == pytest.approx(expected, rel=1e-3)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 40))
 def test_fewer_causes_make_the_same_covariances(seed, causes):
     displacements = 1e-3 * np.random.default_rng(seed).normal(size=(int(np.prod(GRID)), 3, causes))

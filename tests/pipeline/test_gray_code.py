@@ -31,7 +31,7 @@ def test_codes_of_neighbours_differ_in_one_bit_and_count():
 
 
 @given(blur=st.floats(0.01, 3.0), width=st.sampled_from([16, 20.5, 33]), seed=st.integers(0, 2**32 - 1))
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_every_pixel_lies_within_its_window_whatever_the_blur(blur, width, seed):
     rng = np.random.default_rng(seed)
     bits = int(np.ceil(np.log2(COLS / width)))

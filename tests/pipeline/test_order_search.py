@@ -33,7 +33,7 @@ def frames(column, fringes, amplitude=90.0):
     sign=st.sampled_from([1, -1]),
     steps=st.integers(3, 7),
 )
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 def test_exact_fringes_of_any_periods_start_and_sign_give_their_column(periods, start, sign, steps):
     field = 800 if periods != (31, 29) else 860
     fringes = FringeSet(periods, (steps,) * len(periods), field=field, start=start, sign=sign)

@@ -120,7 +120,7 @@ def test_a_pixel_in_too_few_planes_is_not_calibrated():
     assert relation.valid[0, 1]
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(plane=st.integers(0, 29), order=st.sampled_from([-2, -1, 1, 2]))
 def test_one_wrong_fringe_order_costs_the_pixel_and_no_other(plane, order):
     phases = planes(shape=(3, 4), stride=300)

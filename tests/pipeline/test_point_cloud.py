@@ -100,7 +100,7 @@ def test_only_valid_points_of_a_map_are_kept_with_their_pixels():
     assert cloud.facts == {"run": "3"}
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(share=st.floats(0, 0.999))
 def test_a_truncated_file_is_refused_wherever_it_was_cut(tmp_path_factory, share):
     folder = tmp_path_factory.mktemp("cut")

@@ -24,7 +24,7 @@ def pose(tilt_deg=6.0):
     return camera_from_world
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(
     x=st.floats(-5, 5), y=st.floats(-4, 4), z=st.floats(-1.5, 1.5), tilt=st.floats(-30, 30), turn=st.floats(-180, 180)
 )

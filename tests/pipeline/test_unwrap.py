@@ -31,7 +31,7 @@ def wrap(phase):
     share=st.lists(st.floats(0.01, 0.99), min_size=1, max_size=20),
     turns=st.integers(-1, 1),
 )
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_exact_phases_give_the_column_back_for_any_chain_of_ratios(ratios, share, turns):
     periods = 2000 / np.cumprod([1, *ratios])
     fringes = FringeSet(tuple(periods), (4,) * len(periods))

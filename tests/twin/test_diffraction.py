@@ -48,7 +48,7 @@ def test_transfer_in_focus_is_the_autocorrelation_of_the_pupil():
     np.testing.assert_allclose(optical_transfer(frequency, NA, WAVELENGTH), transfer, atol=1e-3)
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(apertures, wavelengths, st.floats(0, 1.2))
 def test_without_defocus_both_transfer_functions_agree(na, wavelength, share):
     frequency = np.array([share * cutoff_frequency(na, wavelength)])
@@ -57,7 +57,7 @@ def test_without_defocus_both_transfer_functions_agree(na, wavelength, share):
     )
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(apertures, wavelengths, heights)
 def test_transfer_is_whole_at_zero_and_nothing_beyond_the_cutoff(na, wavelength, defocus):
     ends = np.array([0.0, 1.0, 1.5]) * cutoff_frequency(na, wavelength)
@@ -65,7 +65,7 @@ def test_transfer_is_whole_at_zero_and_nothing_beyond_the_cutoff(na, wavelength,
     np.testing.assert_allclose(defocused_transfer(ends, na, wavelength, defocus), [1, 0, 0], atol=1e-6)
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(apertures, wavelengths, heights, st.floats(0, 1))
 def test_defocus_never_adds_contrast(na, wavelength, defocus, share):
     frequency = np.array([share * cutoff_frequency(na, wavelength)])

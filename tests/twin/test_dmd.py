@@ -101,7 +101,7 @@ def test_a_pattern_with_rows_is_the_one_without_where_its_rows_are_alike():
     assert_allclose(lines.mean(axis=1), profile[:, None] * line.mean(axis=0), atol=3e-4)
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(st.integers(0, 2**32 - 1), st.booleans())
 def test_no_light_is_lost(seed, along_rows):
     rng = np.random.default_rng(seed)

@@ -20,7 +20,7 @@ def spots_on_table(motion: np.ndarray) -> np.ndarray:
     return np.column_stack([SPOTS, np.zeros(len(SPOTS))]) @ motion[:3, :3].T + motion[:3, 3]
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(seeds, postures)
 def test_a_posture_is_the_same_every_time_and_rigid(seed, posture):
     motion = tilted(seed, posture, SPOTS)
@@ -29,14 +29,14 @@ def test_a_posture_is_the_same_every_time_and_rigid(seed, posture):
     assert motion[2, 2] > 0  # printed face up
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(seeds, postures)
 def test_no_spot_of_a_posture_leaves_the_depth_of_field(seed, posture):
     heights = spots_on_table(tilted(seed, posture, SPOTS))[:, 2]
     assert np.abs(heights).max() <= DEPTH_MM + 1e-9
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(seeds, postures)
 def test_a_posture_tilts_and_shifts_within_its_bounds(seed, posture):
     motion = tilted(seed, posture, SPOTS)
@@ -48,7 +48,7 @@ def test_a_posture_tilts_and_shifts_within_its_bounds(seed, posture):
     assert np.abs(motion[1, 3]) <= SHIFT_MM[1]
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(seeds)
 def test_slopes_of_sixteen_postures_go_all_round(seed):
     normals = np.stack([tilted(seed, posture, SPOTS)[:3, 2] for posture in range(16)])
@@ -57,7 +57,7 @@ def test_slopes_of_sixteen_postures_go_all_round(seed):
     assert gaps.max() < 1.5 * 2 * np.pi / 16
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(seeds, postures)
 def test_other_postures_and_other_instruments_lie_differently(seed, posture):
     motion = tilted(seed, posture, SPOTS)
@@ -65,7 +65,7 @@ def test_other_postures_and_other_instruments_lie_differently(seed, posture):
     assert not np.allclose(motion, tilted(seed ^ 1, posture, SPOTS), atol=1e-6)
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(seeds, st.text(max_size=20))
 def test_what_lies_flat_is_parallel_to_the_table_at_its_height(seed, what):
     motion = flat(seed, what)
@@ -82,7 +82,7 @@ def test_a_hand_misses_by_a_tenth_of_a_millimetre_and_a_degree():
     assert low[1] < np.sum((motions[:, :2, 3] / 0.1) ** 2) < high[1]
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(st.floats(-1e-3, 1e-3), st.floats(-1e-3, 1e-3))
 def test_a_board_on_its_blank_face_slopes_as_it_gets_thicker(gx, gy):
     heights = spots_on_table(on_wedge(np.array([gx, gy])))[:, 2]

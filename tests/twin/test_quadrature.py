@@ -9,7 +9,7 @@ from greenough.twin.node_design import COUNTS
 from greenough.twin.quadrature import nodes, nodes_of_direct_light
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(st.integers(1, 10), st.integers(1, 16))
 def test_as_many_nodes_as_asked_for_inside_the_unit_cube(power, dimensions):
     u = nodes(2**power, dimensions)
@@ -19,7 +19,7 @@ def test_as_many_nodes_as_asked_for_inside_the_unit_cube(power, dimensions):
     assert u.max() < 1
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(st.integers(1, 10), st.integers(1, 16))
 def test_every_node_has_its_mirror_image(power, dimensions):
     u = nodes(2**power, dimensions)

@@ -79,7 +79,7 @@ def test_the_axis_leans_by_its_standard_deviation(stages):
     assert low < np.sum(tilts**2) < high
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(seeds, positions)
 def test_a_perfect_stage_is_exactly_where_it_reads(seed, z):
     expected = np.eye(4)
@@ -87,7 +87,7 @@ def test_a_perfect_stage_is_exactly_where_it_reads(seed, z):
     np.testing.assert_array_equal(build_stage(PERFECT, seed).twin_from_table(z), expected)
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(seeds, positions)
 def test_a_stage_is_the_same_every_time_and_moves_rigidly(seed, z):
     motion = build_stage(StageSettings(), seed).twin_from_table(z)
@@ -96,7 +96,7 @@ def test_a_stage_is_the_same_every_time_and_moves_rigidly(seed, z):
     assert np.linalg.det(motion[:3, :3]) > 0
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(seeds, positions)
 def test_switching_one_error_off_leaves_the_others(seed, z):
     full = build_stage(StageSettings(), seed)

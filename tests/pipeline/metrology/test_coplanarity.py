@@ -140,7 +140,7 @@ def test_a_whole_array_rests_on_the_planes_that_its_definition_names(seed):
     assert coplanarity(apexes, plane) == pytest.approx(distances.max())
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     turn=st.floats(-3, 3), shift=st.tuples(*[st.floats(-20, 20)] * 3), seed=st.integers(0, 2**32 - 1),
 )  # fmt: skip

@@ -53,7 +53,7 @@ def test_a_general_optimiser_finds_the_same_similarity():
     assert found.rms == pytest.approx(np.sqrt(2 * np.mean(best.fun**2)))
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     angle=st.floats(-3, 3), shift=st.tuples(st.floats(-50, 50), st.floats(-50, 50)), scale=st.floats(0.1, 10),
     seed=st.integers(0, 2**32 - 1),

@@ -80,7 +80,7 @@ def test_between_two_states_lies_the_difference_of_their_volumes_and_deflections
     assert stroke(low, high).stroke == pytest.approx(2.76, rel=1e-4)
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 @given(
     turn=st.floats(-3, 3), tilt=st.tuples(st.floats(-0.05, 0.05), st.floats(-0.05, 0.05)),
     shift=st.tuples(*[st.floats(-5, 5)] * 3),

@@ -71,7 +71,7 @@ def test_rms_and_95_percent_are_those_of_the_noise():
     assert 6.5 < 1e3 * form.range_all < 11
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     turn=st.tuples(*[st.floats(-3, 3)] * 3), shift=st.tuples(*[st.floats(-50, 50)] * 3), scale=st.floats(0.1, 10),
     seed=st.integers(0, 2**32 - 1),

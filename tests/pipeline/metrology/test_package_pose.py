@@ -28,7 +28,7 @@ def test_places_are_numbered_from_the_top_left_row_by_row():
     assert DRAWING.pitch == pytest.approx(0.8)
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 @given(
     turn_deg=st.floats(-40, 40), tilt=st.tuples(st.floats(-0.1, 0.1), st.floats(-0.1, 0.1)),
     shift=st.tuples(*[st.floats(-20, 20)] * 3), lost=st.integers(0, 8), seed=st.integers(0, 2**32 - 1),

@@ -123,7 +123,7 @@ def test_weights_let_bad_points_count_less():
     assert fit_sphere(points).radius > 1.001
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     turn=st.tuples(*[st.floats(-3, 3)] * 3), shift=st.tuples(*[st.floats(-50, 50)] * 3), scale=st.floats(0.1, 10),
     seed=st.integers(0, 2**32 - 1),

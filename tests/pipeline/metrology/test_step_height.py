@@ -33,7 +33,7 @@ def test_a_tilted_profile_gives_its_depth_and_tilt_whatever_lies_outside_the_win
     assert (step.n_plateaus, step.n_bottom, step.n) == (640, 160, 800)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     height=st.floats(-2, 2), a=st.floats(-0.5, 0.5), b=st.floats(-0.5, 0.5), c=st.floats(-50, 50),
     shift=st.tuples(st.floats(-50, 50), st.floats(-50, 50)), seed=st.integers(0, 2**32 - 1),

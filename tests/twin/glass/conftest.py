@@ -9,6 +9,7 @@ import pytest
 from greenough.twin.glass.as_built import Tolerances, draw_path_errors
 from greenough.twin.glass.placed import PlacedPath, place
 from greenough.twin.glass.prescription import load_prescription
+from peers import need_module
 
 
 @pytest.fixture(scope="session", params=["camera", "projector"])
@@ -28,8 +29,10 @@ def built(request: pytest.FixtureRequest) -> PlacedPath:
 def optiland_trace() -> Callable[[PlacedPath, np.ndarray, np.ndarray, float], tuple[np.ndarray, np.ndarray]]:
     """Traces rays from the specimen: points in the image's plane (n, 2) and directions before it (n, 3).
 
+    Skips, or fails, where optiland is not installed: see ``peers.need_module``.
     optiland reads radii, distances, apertures and names of glasses; the indices are those of its own catalogue.
     """
+    need_module("optiland")
     from numba import NumbaWarning
     from optiland.materials import Material
     from optiland.optic import Optic

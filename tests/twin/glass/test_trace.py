@@ -97,7 +97,7 @@ def test_light_runs_back_the_way_it_came(built, real):
     assert np.abs(ours - start).max() < (1e-11 if real is Double else IMAGE_MM)
 
 
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(
     name=st.sampled_from(["camera", "projector"]),
     turn=st.floats(0, 2 * np.pi),
@@ -114,7 +114,7 @@ def test_a_turned_object_has_a_turned_image(name, turn, x, z, slope_x, slope_y):
 
 
 @pytest.mark.slow
-@settings(deadline=None, max_examples=10)
+@settings(max_examples=10)
 @given(
     tilt=st.floats(-0.02, 0.02),
     decentre=st.floats(-0.2, 0.2),

@@ -12,8 +12,8 @@ from plain_scene import largest_error_um
 from process_faults import PROCESS_KINDS, broken_claims_of_process, run_process
 from wire_faults import KINDS, broken_by_call, order
 
-pytestmark = pytest.mark.wire
-
+# A fault is never judged by how long a busy machine takes.
+pytestmark = [pytest.mark.wire, pytest.mark.timeout(1200)]
 HARMLESS = [name for name, kind in KINDS.items() if kind.harmless]
 LONG = ("all devices: silent", "camera: silent")  # Aravis has time-outs of its own
 A_STEP = 0.06  # of a calibration

@@ -21,8 +21,7 @@ def server():
 
 
 def connect(server: LineServer) -> socket.socket:
-    client = socket.create_connection((server.host, server.tcp_port), timeout=5)
-    client.settimeout(5)
+    client = socket.create_connection((server.host, server.tcp_port), timeout=60)
     return client
 
 

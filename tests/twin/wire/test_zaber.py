@@ -49,7 +49,7 @@ def vendors(request):
             else Connection.open_serial_port(server.terminal)
         )
         with opened as connection:
-            connection.default_request_timeout = 500
+            connection.default_request_timeout = 60_000  # ms
             assert connection.checksum_enabled
             yield device, connection.get_device(1).get_axis(1)
 
@@ -94,6 +94,7 @@ def test_the_vendors_library_joins_the_pieces_of_a_long_reply():
 
 def test_the_vendors_library_refuses_a_wrong_checksum(vendors):
     device, axis = vendors
+    axis.device.connection.default_request_timeout = 500
     device.spoil(wrong_checksum)
     with pytest.raises(RequestTimeoutException):
         axis.get_position()

@@ -25,12 +25,14 @@ from greenough.twin.settings import twin_settings
 
 def measure(rig, overrides, run, advance):
     settings = twin_settings(load_rig_file(rig, overrides))
-    visit = {"pid": os.getpid(), "seed": settings.seed, "run": run, "start": time.time()}
+    visit = {"pid": os.getpid(), "seed": settings.seed, "run": run, "start": time.monotonic()}
     visit |= {"sd": settings.stage.position_sd_um}
     time.sleep(0.05)
-    visit |= {"threads": [dr.thread_count(), cv2.getNumThreads()], "end": time.time()}
+    visit |= {"threads": [dr.thread_count(), cv2.getNumThreads()], "end": time.monotonic()}
     with Path(__file__).with_name(f"{run.split()[0]}.visits").open("a") as file:
         file.write(json.dumps(visit) + "\\\\n")
+    while settings.seed > 5 and Path(__file__).with_name("hold").exists():
+        time.sleep(0.01)
     if settings.seed == 4:
         raise InputError("the board was not found")
     if (deadly := Path(__file__).with_name("deadly")).exists() and settings.seed == 5:

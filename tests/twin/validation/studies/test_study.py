@@ -54,6 +54,8 @@ def test_an_interrupted_study_goes_on_and_does_no_run_twice(study_file, visits, 
 @pytest.mark.slow
 def test_a_killed_study_keeps_its_finished_runs(study_file, laboratory, tmp_path):
     path, out = study_file("killed", seeds="20"), tmp_path / "out"
+    hold = laboratory / "hold"  # it cannot come to its end before the kill
+    hold.touch()
     words = [sys.executable, "-c", "from greenough.instrument.command import main; main()"]
     environment = os.environ | {"PYTHONPATH": str(laboratory)}
     process = subprocess.Popen([*words, "study", str(path), "--out", str(out), "--json"], env=environment)
@@ -62,6 +64,7 @@ def test_a_killed_study_keeps_its_finished_runs(study_file, laboratory, tmp_path
         time.sleep(0.01)
     process.send_signal(signal.SIGKILL)
     process.wait()
+    hold.unlink()
     runs = runs_of(load_study(path))
     done = [outcome for each in runs if (outcome := kept(out, each))]
     assert 3 <= len(done) < len(runs)

@@ -52,8 +52,11 @@ def cannot_write(path: str | Path, error: BaseException) -> FileError:
     return FileError(f"cannot write {path}: {cause}; {remedy}")
 
 
-def cannot_read(path: str | Path, error: BaseException) -> FileError:
-    """The sentence for a file, or folder, that could not be read because of ``error``, which has an errno."""
+def cannot_read(path: str | Path, error: BaseException, called: str | None = None) -> FileError:
+    """The sentence for a file, or folder, that could not be read because of ``error``, which has an errno.
+
+    It is ``called`` by its path unless that is said otherwise.
+    """
     path, number = Path(path), errno_of(error)
     if number in (errno.EACCES, errno.EPERM):
         cause, remedy = "you may not read it", "change its permissions, or those of its folder"
@@ -65,7 +68,7 @@ def cannot_read(path: str | Path, error: BaseException) -> FileError:
         cause, remedy = "there is no such file", "name one that exists"
     else:
         cause, remedy = _cause(path, number, "name a file that exists")
-    return FileError(f"cannot read {path}: {cause}; {remedy}")
+    return FileError(f"cannot read {called or path}: {cause}; {remedy}")
 
 
 def cannot_use(error: OSError) -> FileError | None:

@@ -109,7 +109,7 @@ def _pages(path: Path, allowed_bytes: int) -> Iterator[tuple[str, np.ndarray]]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # sizes are judged here
         try:
-            with reading(path), Image.open(path) as image:
+            with reading(path), path.open("rb") as stream, Image.open(stream) as image:
                 pages = getattr(image, "n_frames", 1)
                 for page in range(pages):
                     image.seek(page)

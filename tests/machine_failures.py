@@ -1,5 +1,6 @@
 """Every verb with every option that names what it writes, how to bring it there cheaply, and places that refuse it."""
 
+import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -20,10 +21,12 @@ from greenough.instrument import opening
 from greenough.instrument.command import GROUP, collect
 from greenough.instrument.contract import Placement
 from greenough.instrument.recording import record
-from greenough.pipeline import acquisition
+from greenough.pipeline import acquisition, camera_file
 from greenough.pipeline.fringes import FringeSet
 from greenough.pipeline.point_cloud import Mesh, PointCloud, write_cloud, write_mesh
 from greenough.pipeline.reconstruct import PointMap
+from greenough.pipeline.report import results
+from greenough.pipeline.report.page import Page
 from greenough.twin.validation import demo
 from greenough.twin.validation.acceptance import table
 from greenough.twin.validation.judged_table import JudgedTable
@@ -93,6 +96,7 @@ def _made_at_once(patch: pytest.MonkeyPatch) -> None:
     )
     xyz = np.stack([*np.mgrid[:6, :8].astype(float), np.zeros((6, 8))], axis=-1)
     patch.setattr(acquisition, "calibrate", lambda *arguments: made)
+    patch.setattr(results, "calibration_page", lambda *arguments, **options: Page("Calibration", "", []))
     patch.setattr(acquisition, "measure", lambda *arguments: PointMap(xyz))
 
 
@@ -103,6 +107,11 @@ def _accepted_at_once(patch: pytest.MonkeyPatch) -> None:
 
     patch.setattr(table, "accept", accept)
     patch.setattr(table, "captures", lambda *arguments, **options: 1)
+
+
+def _camera_at_once(patch: pytest.MonkeyPatch) -> None:
+    camera = camera_file.OpenCVCamera(np.eye(3), np.zeros(5), np.eye(4), np.full(9, 0.1))
+    patch.setattr(camera_file, "opencv_camera", lambda calibration: camera)
 
 
 EXPORTS = ("ply", "xyz", "asc", "npz", "stl", "obj", "x3p", "gwy", "gsf")
@@ -121,7 +130,7 @@ OUTPUTS = (
     ),
     Output("measure", "--preview", "coin.png", [*MEASURE], [_rig_of_pinholes]),
     *(Output("export", "--out", f"coin.{ending}", ["{cloud}"]) for ending in EXPORTS),
-    *(Output("export", "--out", f"camera.{ending}", ["{calibration}"], [], False) for ending in CAMERAS),
+    *(Output("export", "--out", f"camera.{ending}", ["{calibration}"], [_camera_at_once]) for ending in CAMERAS),
     Output("decode", "--out", "phase.h5", ["{frames}", "--periods", "608,152,40,12", "--steps", "4,4,4,12"]),
     Output("diagnose", "--lut-out", "lut.txt", ["{frames}", "--periods", "608,152,40,12", "--steps", "4,4,4,12"]),
     Output("report", "--out", "page.html", ["{table}"]),
@@ -141,10 +150,11 @@ def path_options() -> set[tuple[str, str]]:
     """Every verb of the installed command with every option of it that names a path."""
     found = set()
     for verb, function in verbs().items():
-        for hint in get_type_hints(function, include_extras=True).values():
+        for name, hint in get_type_hints(function, include_extras=True).items():
             for kind, option in _annotated(hint):
                 if Path in (kind, *get_args(kind)) and isinstance(option, OptionInfo):
-                    found.add((verb, [option.default, *(option.param_decls or ())][0]))  # as typer keeps the first
+                    flag = option.default  # where typer keeps the first of an option's names
+                    found.add((verb, flag if isinstance(flag, str) else f"--{name}"))
     return found
 
 
@@ -214,19 +224,11 @@ class Small:
         """With other options: ``ro``, or another size."""
         subprocess.run(["mount", "-o", f"remount,{options}", str(self.folder)], check=True, capture_output=True)
 
-    def fill(self, but: int = 0) -> None:
-        """With a file that leaves so many bytes."""
-        ballast = self.folder / "ballast"
-        ballast.unlink(missing_ok=True)
-        with open(ballast, "wb") as file:
-            try:
-                while file.write(bytes(4096)):
-                    file.flush()
-            except OSError:
-                pass
-            file.seek(0)
-        with open(ballast, "r+b") as file:
-            file.truncate(max(0, ballast.stat().st_size - but))
+    def fill(self) -> None:
+        """To its last byte."""
+        space = os.statvfs(self.folder)
+        with open(self.folder / "ballast", "wb") as file:
+            os.posix_fallocate(file.fileno(), 0, space.f_bavail * space.f_frsize)
 
 
 def mounted(folder: Path) -> Small | None:

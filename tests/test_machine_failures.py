@@ -278,7 +278,7 @@ def test_what_cannot_be_read_is_told(name, kind, inputs, told, tmp_path):
     words = {**inputs, "bad": tmp_path / "bad", "out": tmp_path / "out"}
     sentence = told([name.split()[0], *(word.format_map(words) for word in UNREADABLE[name])])
     assert str(tmp_path / f"bad{suffix}") in sentence
-    if kind is broken:
+    if kind is broken and name not in ("decode", "decode archive"):  # whose size, here 0, is looked at first
         assert "input/output error" in sentence
     assert {path.name for path in tmp_path.iterdir()} <= {f"bad{suffix}"}
 

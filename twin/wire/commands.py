@@ -28,10 +28,10 @@ def serve(
     settings: SetOption = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print where the devices listen as JSON.")] = False,
 ) -> None:
-    """Emulate a rig's devices around the twin, until Ctrl-C or SIGTERM.
+    """Emulate a rig's devices around the twin, until interrupted.
 
     They listen at the rig file's addresses: a LightCrafter on TCP, a GigE Vision camera, a Zaber stage on TCP and on a
-    terminal, and a bench that takes placements.
+    terminal, and a bench that takes placements. Ctrl-C and SIGTERM end it.
     """
     from greenough.instrument.rigfile import load_rig_file
 

@@ -1,25 +1,32 @@
 """The ``greenough`` command: a root that collects its verbs from the installed packages."""
 
+import errno
 import os
 import signal
 import sys
 import traceback
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from importlib.metadata import EntryPoint, entry_points
 from types import FrameType
-from typing import Annotated, NoReturn
+from typing import Annotated, NoReturn, TextIO
 
 import typer
 
 from .backend import VARIABLE, VARIANTS
 from .errors import InputError
+from .file_errors import cannot_use
 
 GROUP = "greenough.commands"
-INTERRUPTED = 130
+INTERRUPTED = 128 + signal.SIGINT
+UNREAD = 128 + signal.SIGPIPE
 
 
 def main() -> NoReturn:
-    """Run the command line of this process and exit: 0 done, 1 a row not as expected, 2 bad input, 130 interrupted."""
+    """Run the command line of this process and exit with its code.
+
+    0 is done, 1 a row not as expected, 2 bad input or a file that cannot be written, 130 interrupted, 141 unread.
+    """
     signal.signal(signal.SIGTERM, _terminate)
     sys.exit(run(sys.argv[1:], entry_points(group=GROUP)))
 
@@ -27,23 +34,77 @@ def main() -> NoReturn:
 def run(arguments: Sequence[str], sources: Iterable[EntryPoint]) -> int:
     """Run one command line with the verbs of ``sources`` and return its exit code.
 
-    A verb ends with ``typer.Exit(1)`` when a row is not as expected, and raises InputError for bad input. Any other
-    exception is a programming error and passes through.
+    A verb ends with ``typer.Exit(1)`` when a row is not as expected, and raises InputError for bad input. What the
+    operating system refuses to do with a file becomes a sentence as well, wherever it was met, and so does what it
+    refuses to do with standard output. If nobody reads that any more, as behind ``head``, nothing is said, and the code
+    is that of SIGPIPE. Any other exception is a programming error and passes through.
     """
+    output = sys.stdout
+    try:
+        code = _exit_code(arguments, sources)
+        refusal = _refusal_of(output)
+    except InputError as error:
+        return _tell(str(error), 2)
+    except KeyboardInterrupt:
+        return _tell("interrupted; nothing half-written is left.", INTERRUPTED)
+    except OSError as error:
+        refusal = _refusal_of(output)
+        if refusal is None:
+            sentence = cannot_use(error)
+            if sentence is None:
+                raise
+            return _tell(str(sentence), 2)
+    if refusal is None:
+        return code
+    _silence(output)
+    if refusal.errno == errno.EPIPE:
+        return UNREAD
+    cause = os.strerror(refusal.errno or 0).lower()
+    return _tell(f"cannot write to standard output: {cause}; remove the cause, or send it elsewhere", 2)
+
+
+def _exit_code(arguments: Sequence[str], sources: Iterable[EntryPoint]) -> int:
+    """Of a command line that was not refused; raises KeyboardInterrupt where it was interrupted."""
+    output = sys.stdout
     try:
         typer.main.get_command(collect(sources))(list(arguments), prog_name="greenough")
-    except InputError as error:
-        print(f"greenough: {error}", file=sys.stderr)
-        return 2
     except SystemExit as ending:
-        if ending.code != INTERRUPTED:
-            return ending.code if isinstance(ending.code, int) else int(ending.code is not None)
-    except KeyboardInterrupt:  # while the verbs were being collected; later ones typer turns into an exit
-        pass
-    else:
-        return 0
-    print("greenough: interrupted; nothing half-written is left.", file=sys.stderr)
-    return INTERRUPTED
+        if sys.stdout is not output:  # typer's answer to a pipe that nobody reads any more
+            sys.stdout = output
+            if isinstance(ending.__context__, OSError):
+                raise ending.__context__ from None
+        if ending.code == INTERRUPTED:
+            raise KeyboardInterrupt from None
+        return ending.code if isinstance(ending.code, int) else int(ending.code is not None)
+    return 0
+
+
+def _refusal_of(output: TextIO | None) -> OSError | None:
+    """Why what was printed cannot be written; None where it was, and where nothing is printed to."""
+    if output is None or output.closed:
+        return None
+    try:
+        output.flush()
+    except OSError as error:
+        return error
+    return None
+
+
+def _silence(output: TextIO) -> None:
+    """Send what could not be written nowhere: else the interpreter tries again, and complains, at its end."""
+    with suppress(OSError):  # of a stream in memory
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        try:
+            os.dup2(nowhere, output.fileno())
+        finally:
+            os.close(nowhere)
+
+
+def _tell(sentence: str, code: int) -> int:
+    """Print one line on standard error, if anybody listens."""
+    with suppress(OSError):
+        print(f"greenough: {sentence}", file=sys.stderr, flush=True)
+    return code
 
 
 def collect(sources: Iterable[EntryPoint]) -> typer.Typer:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .verbs import JsonOption, RigArgument, RunOption, SetOption, show
+from .verbs import JsonOption, RigArgument, RunOption, SetOption, output_file, show
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -82,12 +82,13 @@ def live(
     from .contract import Placement
     from .errors import InputError
     from .opening import open_rig
+    from .signals import until_told_to_end
 
     rig_to_open, view = open_rig(rig, settings or ()), live.View()
     with live.serving(view, port) as address:
         print(f"greenough: {address} shows what the camera sees; Ctrl-C ends it", file=sys.stderr)
         try:
-            with rig_to_open as opened:
+            with rig_to_open as opened, until_told_to_end():
                 if exposure_us is not None:
                     opened.camera.exposure_us = exposure_us
                 if sample is not None:
@@ -101,7 +102,10 @@ def live(
 @app.command()
 def record(
     rig: RigArgument,
-    out: Annotated[Path, typer.Option("--out", metavar="FILE.h5", help="Where to write the recording.")],
+    out: Annotated[
+        Path,
+        typer.Option("--out", metavar="FILE.h5", help="Where to write the recording.", callback=output_file),
+    ],
     patterns: Annotated[Path, typer.Option(metavar="FILE.npy", help="Patterns to project, uint8 (N, rows, cols).")],
     samples: Annotated[list[str], typer.Option("--sample", metavar="NAME|MESHFILE", help="Part to place; repeatable.")],
     heights: Annotated[
@@ -184,11 +188,16 @@ def _load_patterns(path: Path) -> "np.ndarray":
     import numpy as np
 
     from .errors import InputError
+    from .file_errors import reading
+    from .files import check_readable
 
-    try:
-        patterns = np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError):
-        patterns = None
+    unusable = f"patterns {path} cannot be read; give a NumPy file (.npy) of uint8 (N, rows, cols)"
+    check_readable(path, missing=unusable)
+    with reading(path):
+        try:
+            patterns = np.load(path, allow_pickle=False)
+        except (ValueError, EOFError):
+            patterns = None
     if not isinstance(patterns, np.ndarray):
-        raise InputError(f"patterns {path} cannot be read; give a NumPy file (.npy) of uint8 (N, rows, cols)")
+        raise InputError(unusable)
     return patterns

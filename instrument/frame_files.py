@@ -20,6 +20,7 @@ import numpy as np
 from PIL import Image
 
 from .errors import InputError
+from .file_errors import cannot_read, errno_of, reading
 
 MAX_BYTES = 4 * 2**30
 """Of all frames together, as they are in memory."""
@@ -86,7 +87,9 @@ def _paths(names: Sequence[str]) -> list[Path]:
     for name in names:
         path = Path(name)
         if path.is_dir():
-            found = [item for item in path.iterdir() if item.suffix.lower() in IMAGES]
+            with reading(path):
+                items = list(path.iterdir())
+            found = [item for item in items if item.suffix.lower() in IMAGES]
             if not found:
                 raise InputError(f"the folder {path} holds no image ({', '.join(IMAGES)})")
         elif path.is_file():
@@ -106,7 +109,7 @@ def _pages(path: Path, allowed_bytes: int) -> Iterator[tuple[str, np.ndarray]]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # sizes are judged here
         try:
-            with Image.open(path) as image:
+            with reading(path), path.open("rb") as stream, Image.open(stream) as image:
                 pages = getattr(image, "n_frames", 1)
                 for page in range(pages):
                     image.seek(page)
@@ -157,7 +160,7 @@ def _read_stack(name: str) -> np.ndarray | None:
 def _read_npy_file(path: Path, item: str) -> np.ndarray:
     if item:
         raise InputError(f"{path} holds one array: leave out :{item}")
-    with path.open("rb") as stream:
+    with reading(path), path.open("rb") as stream:
         return _read_npy(stream, path.stat().st_size, path)
 
 
@@ -176,13 +179,15 @@ def _read_npy(stream: IO[bytes], available: int, path: Path) -> np.ndarray:
         return np.lib.format.read_array(stream, allow_pickle=False)
     except InputError:
         raise
-    except (*_DAMAGED, *_DAMAGED_ZIP):
+    except (*_DAMAGED, *_DAMAGED_ZIP) as error:
+        if errno_of(error) is not None:
+            raise
         raise InputError(f"{path} is not a whole {path.suffix} file of numbers") from None
 
 
 def _read_npz(path: Path, item: str) -> np.ndarray:
     try:
-        with zipfile.ZipFile(path) as archive:
+        with reading(path), zipfile.ZipFile(path) as archive:
             arrays = {entry.filename.removesuffix(".npy"): entry for entry in archive.infolist()}
             if not item and len(arrays) != 1:
                 raise InputError(f"{path} holds {_listed(arrays)}; name one of them as {path}:NAME")
@@ -214,7 +219,9 @@ def _read_hdf5(path: Path, dataset: str) -> np.ndarray:
             return np.asarray(item[()])
     except InputError:
         raise
-    except (*_DAMAGED, RuntimeError):  # the last is HDF5's own
+    except (*_DAMAGED, RuntimeError) as error:  # the last is HDF5's own
+        if errno_of(error) is not None:
+            raise cannot_read(path, error) from None
         raise InputError(f"{path} is damaged, truncated or not HDF5") from None
 
 

@@ -18,25 +18,43 @@ import h5py
 import numpy as np
 
 from .errors import InputError
-from .files import atomic_path
+from .file_errors import cannot_read, errno_of, reading
+from .files import atomic_path, check_readable
+from .hdf5_medium import Medium
+from .signals import signals_held
 
 # What h5py raises on a damaged file depends on which structure is hit.
 _UNREADABLE = (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError, IndexError, MemoryError)
+
+
+class _Written(h5py.File):
+    """A file that is being written, and what it is written to."""
+
+    medium: Medium
 
 
 @contextmanager
 def create(path: str | Path, kind: str, version: int) -> Iterator[h5py.File]:
     """A new file that takes its name once the body has ended without an exception.
 
+    Signals that end the program wait until what is being written is written.
+
     Raises
     ------
-    InputError
-        When nothing can be written at ``path``.
+    FileError
+        When nothing can be written at ``path``, or no more: at the next `put` or at the end.
     """
-    with atomic_path(path) as temporary, h5py.File(temporary, "w", libver=("v110", "v110")) as file:
-        file.attrs["kind"] = np.bytes_(kind)
-        file.attrs["version"] = version
-        yield file
+    with atomic_path(path) as temporary, Medium(temporary) as medium:
+        with signals_held():
+            file = _Written(medium, "w", libver=("v110", "v110"))
+            file.medium = medium
+        try:
+            file.attrs["kind"] = np.bytes_(kind)
+            file.attrs["version"] = version
+            yield file
+        finally:
+            with signals_held():
+                file.close()
 
 
 @contextmanager
@@ -46,17 +64,17 @@ def read(path: str | Path, kind: str, version: int) -> Iterator[h5py.File]:
     Raises
     ------
     InputError
-        When there is no such file, or it is damaged, truncated, of another kind or of a later version.
+        When there is no such file, or it cannot be read, or is damaged, truncated, of another kind or of a later
+        version.
     """
     path = Path(path)
-    if not path.is_file():
-        raise InputError(f"there is no {kind} {path}")
+    check_readable(path, missing=f"there is no {kind} {path}")
     try:
         file = h5py.File(path, "r")
     except OSError as error:
+        if errno_of(error) is not None:
+            raise cannot_read(path, error) from None
         reason = "is truncated or damaged" if _has_signature(path) else f"is not a {kind}: it is not HDF5"
-        if isinstance(error, PermissionError):
-            reason = "may not be read by you"
         raise InputError(f"{path} {reason}") from None
     with file:
         try:
@@ -84,13 +102,22 @@ def kind_of(path: str | Path) -> str | None:
 
 
 def put(file: h5py.File, name: str, values: np.ndarray | str, units: str) -> None:
-    """Write one dataset with its units ("1" for numbers without) and checksum."""
+    """Write one dataset with its units ("1" for numbers without) and checksum.
+
+    Raises
+    ------
+    OSError
+        When the file cannot be written any more; `create` makes a sentence of it.
+    """
     if isinstance(values, str):
         values = np.frombuffer(values.encode(), np.uint8)
     values = np.asarray(values, order="C")
-    dataset = file.create_dataset(name, data=values)
-    dataset.attrs["units"] = np.bytes_(units)
-    dataset.attrs["sha256"] = np.bytes_(_digest(values, units))
+    with signals_held():
+        dataset = file.create_dataset(name, data=values)
+        dataset.attrs["units"] = np.bytes_(units)
+        dataset.attrs["sha256"] = np.bytes_(_digest(values, units))
+    if isinstance(file, _Written):
+        file.medium.check()
 
 
 def get(file: h5py.File, name: str) -> np.ndarray:
@@ -99,13 +126,15 @@ def get(file: h5py.File, name: str) -> np.ndarray:
     Raises
     ------
     InputError
-        When it is missing or damaged.
+        When it is missing or damaged, or cannot be read.
     """
     try:
         dataset: Any = file[name]
         values = np.asarray(dataset[()], order="C")
         intact = dataset.attrs["sha256"].decode() == _digest(values, dataset.attrs["units"].decode())
-    except _UNREADABLE:
+    except _UNREADABLE as error:
+        if errno_of(error) is not None:
+            raise cannot_read(file.filename, error) from None
         raise InputError(f"{file.filename} is damaged: {name} is missing or cannot be read") from None
     if not intact:
         raise InputError(f"{file.filename} is damaged: the checksum of {name} is wrong")
@@ -130,5 +159,5 @@ def _digest(values: np.ndarray, units: str) -> str:
 
 
 def _has_signature(path: Path) -> bool:
-    with open(path, "rb") as file:
+    with reading(path), open(path, "rb") as file:
         return file.read(8) == b"\x89HDF\r\n\x1a\n"

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from .errors import InputError
+from .file_errors import cannot_read
 
 
 def names_in(folder: Traversable) -> tuple[str, ...]:
@@ -52,7 +53,7 @@ def read_toml(name_or_path: str | Path, kind: str, builtin: Traversable) -> tupl
     except UnicodeDecodeError:
         raise InputError(f"{where} is not UTF-8 text, so it is not a {kind} file in TOML") from None
     except OSError as error:
-        raise InputError(f"{where} cannot be read: {error.strerror}") from None
+        raise cannot_read(path, error, where) from None
 
 
 def _parse(text: str, where: str) -> dict[str, Any]:

@@ -4,9 +4,12 @@ import json
 import math
 import sys
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+
+from .files import check_file, check_folder
 
 RigArgument = Annotated[str, typer.Argument(metavar="RIG", help="A built-in rig, a rig file, or a recording (.h5).")]
 SetOption = Annotated[
@@ -14,6 +17,20 @@ SetOption = Annotated[
 ]
 RunOption = Annotated[str, typer.Option("--run", metavar="NAME", help="Name of the run; its noise is its own.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as JSON and show no progress.")]
+
+
+def output_file(path: Path | None) -> Path | None:
+    """The callback of every option that names a file to write: refuses one that cannot be, before any work."""
+    if path is not None:
+        check_file(path)
+    return path
+
+
+def output_folder(path: Path | None) -> Path | None:
+    """The same of an option that names a folder, which is made if it is not there."""
+    if path is not None:
+        check_folder(path)
+    return path
 
 
 def show(result: Mapping[str, Any], as_json: bool) -> None:

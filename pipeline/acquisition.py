@@ -9,7 +9,8 @@ import cv2
 import numpy as np
 
 from greenough.instrument.contract import BLANK, CameraNoise, Frames, Placement, Procedure, Rig
-from greenough.instrument.errors import InputError
+from greenough.instrument.errors import FileError, InputError
+from greenough.instrument.files import check_file
 
 from .bundle_data import SpotPhases, check_spot_phases, measure_spot_phases, no_spot_phases
 from .bundle_method import calibrate_by_bundle
@@ -125,10 +126,10 @@ def calibrate_by_methods(
         If ``OUT.partial`` belongs to another rig, settings or run, the planes are too few or lie outside the stage's
         limits, the flat board or too many tilted ones were not found, the postures are all parallel, or a method lacks
         data.
+    FileError
+        If a file cannot be written or read; what was captured is kept.
     """
-    with_planes: list[Method] = [method for method in outs if METHODS[method].needs_planes]
-    without_planes: list[Method] = [method for method in outs if not METHODS[method].needs_planes]
-    heights = plane_heights(rig) if with_planes else np.empty(0)
+    heights = plane_heights(rig) if any(METHODS[method].needs_planes for method in outs) else np.empty(0)
     for method in outs:
         if METHODS[method].needs_spot_phases and not rig.procedure.fringes_on_postures:
             raise InputError(
@@ -136,10 +137,30 @@ def calibrate_by_methods(
                 "white light: project the fringes there as well, or calibrate with --method paper"
             )
     for out in outs.values():
-        if Path(out).is_dir():
-            raise InputError(f"cannot write {out}: it is a folder; name a file")
+        check_file(out)
     unfinished = Unfinished.beside(next(iter(outs.values())))
     unfinished.begin(rig, run)
+    try:
+        return _calibrate(rig, outs, run, advance, unfinished, heights)
+    except FileError as error:
+        if not unfinished.holds_steps:
+            raise
+        raise FileError(
+            f"{error}; what was captured is kept in {unfinished.folder}, and the same command goes on from there"
+        ) from None
+
+
+def _calibrate(
+    rig: Rig,
+    outs: Mapping[Method, str | Path],
+    run: str,
+    advance: Callable[[float], None],
+    unfinished: Unfinished,
+    heights: np.ndarray,
+) -> dict[Method, Calibration]:
+    """What `calibrate_by_methods` does once nothing is left to refuse."""
+    with_planes: list[Method] = [method for method in outs if METHODS[method].needs_planes]
+    without_planes: list[Method] = [method for method in outs if not METHODS[method].needs_planes]
     acquire = _Acquirer(rig, unfinished, advance)
     data = _acquire_postures(rig, unfinished, acquire, run, any(METHODS[method].needs_spot_phases for method in outs))
     made: dict[Method, Calibration] = {}

@@ -125,13 +125,13 @@ def write_camera(calibration: Calibration, path: str | Path) -> OpenCVCamera:
         "fit_max_px": camera.max_px,
         "avg_reprojection_error": float(np.hypot(figures["reprojection_rmse_u_px"], figures["reprojection_rmse_v_px"])),
     }
+    # In memory, since OpenCV does not say when it could not write a file.
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
+    for name, value in entries.items():
+        storage.write(name, value)
+    text = storage.releaseAndGetString()
     with atomic_path(path) as temporary:
-        storage = cv2.FileStorage(str(temporary), cv2.FILE_STORAGE_WRITE)
-        try:
-            for name, value in entries.items():
-                storage.write(name, value)
-        finally:
-            storage.release()
+        temporary.write_text(text, encoding="utf-8")
     return camera
 
 

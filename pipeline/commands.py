@@ -8,7 +8,7 @@ import typer
 
 from greenough.instrument.errors import InputError
 from greenough.instrument.progress import progress
-from greenough.instrument.verbs import JsonOption, RigArgument, RunOption, SetOption, show
+from greenough.instrument.verbs import JsonOption, RigArgument, RunOption, SetOption, output_file, show
 
 from .decode_command import app as decode_app
 from .diagnose_command import app as diagnose_app
@@ -28,7 +28,9 @@ app.add_typer(report_app)
 @app.command()
 def calibrate(
     rig: RigArgument,
-    out: Annotated[Path, typer.Option("--out", metavar="CAL.h5", help="The calibration to write.")],
+    out: Annotated[
+        Path, typer.Option("--out", metavar="CAL.h5", help="The calibration to write.", callback=output_file)
+    ],
     method: Annotated[
         Method,
         typer.Option(
@@ -74,7 +76,10 @@ def measure(
     calibration: Annotated[
         Path | None, typer.Option("--calibration", metavar="CAL.h5", help="Of `greenough calibrate`.")
     ] = None,
-    out: Annotated[Path | None, typer.Option("--out", metavar="CLOUD.ply", help="The point cloud to write.")] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="CLOUD.ply", help="The point cloud to write.", callback=output_file),
+    ] = None,
     preview: Annotated[
         Path | None,
         typer.Option(
@@ -82,6 +87,7 @@ def measure(
             metavar="PICTURE.png",
             help="Measure nothing: draw what the camera sees, and mark what is saturated or too dark. Needs neither "
             "--calibration nor --out.",
+            callback=output_file,
         ),
     ] = None,
     unit: Annotated[str, typer.Option("--unit", help="Unit of a mesh file: mm, um, m or inch.")] = "mm",
@@ -234,6 +240,7 @@ def export(
             metavar="FILE",
             help="Its ending says what. Points: .ply, .xyz, .asc, .npz; surface: .stl, .obj; height map: .x3p, .gwy, "
             ".gsf; camera: .yaml, .json, .xml.",
+            callback=output_file,
         ),
     ],
     pitch_um: Annotated[

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 import typer
 
 from greenough.instrument.errors import InputError
-from greenough.instrument.verbs import JsonOption, show
+from greenough.instrument.verbs import JsonOption, output_file, show
 
 from .fringes import PAPER, FringeSet
 
@@ -43,7 +43,9 @@ def decode(
             "several).",
         ),
     ],
-    out: Annotated[Path, typer.Option("--out", metavar="FILE.h5", help="The phase map to write.")],
+    out: Annotated[
+        Path, typer.Option("--out", metavar="FILE.h5", help="The phase map to write.", callback=output_file)
+    ],
     periods: Annotated[
         str, typer.Option("--periods", help="Fringe periods, projector columns, in the order of the frames.")
     ] = _listed(PAPER.periods),

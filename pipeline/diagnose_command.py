@@ -9,7 +9,7 @@ import typer
 
 from greenough.instrument.errors import InputError
 from greenough.instrument.progress import progress
-from greenough.instrument.verbs import JsonOption, show
+from greenough.instrument.verbs import JsonOption, output_file, show
 
 from .decode_command import frames_in_order, fringe_set
 
@@ -46,7 +46,12 @@ def diagnose(
     ] = None,
     lut_out: Annotated[
         Path | None,
-        typer.Option("--lut-out", metavar="FILE.txt", help="Write what to send for the grey values 0 to 255."),
+        typer.Option(
+            "--lut-out",
+            metavar="FILE.txt",
+            help="Write what to send for the grey values 0 to 255.",
+            callback=output_file,
+        ),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:

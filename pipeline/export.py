@@ -103,8 +103,9 @@ def _write_surface(cloud: PointCloud, path: Path) -> None:
     kind = path.suffix.lower().removeprefix(".")
     written = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     written.remove_unreferenced_vertices()
+    content = written.export(file_type=kind)
     with atomic_path(path) as temporary:
-        written.export(temporary, file_type=kind)
+        temporary.write_bytes(content if isinstance(content, bytes) else str(content).encode())
 
 
 WRITERS: dict[str, Callable[[PointCloud, Path], None]] = {

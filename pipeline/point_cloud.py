@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import trimesh
 
-from greenough.instrument.errors import InputError
-from greenough.instrument.files import atomic_path
+from greenough.instrument.errors import FileError, InputError
+from greenough.instrument.file_errors import reading
+from greenough.instrument.files import atomic_path, check_readable
 
 from .reconstruct import PointMap
 
@@ -200,8 +201,11 @@ def read_mesh(path: str | Path) -> Mesh:
     if mesh is None:
         _check_size(path, _MAX_BYTES_OF_OTHERS)
         try:
-            loaded = trimesh.load_mesh(path, skip_materials=True)
+            with reading(path):
+                loaded = trimesh.load_mesh(path, skip_materials=True)
             mesh = Mesh(np.asarray(loaded.vertices, dtype=np.float64), np.asarray(loaded.faces, dtype=np.int32))
+        except FileError:
+            raise
         except Exception as error:  # trimesh raises whatever its format readers meet
             raise InputError(f"the mesh {path} cannot be read ({error}): give a PLY, STL or OBJ file") from None
     if len(mesh.faces) == 0:
@@ -261,12 +265,11 @@ def _write_ply(path: str | Path, header: list[str], facts: Mapping[str, object],
 
 def _read_header(path: Path) -> _Header | None:
     """The header of a PLY file, or None if it is none."""
-    if not path.is_file():
-        raise InputError(f"there is no file {path}")
+    check_readable(path, missing=f"there is no file {path}")
     if path.suffix.lower() not in _ENDINGS:
         raise InputError(f"points and meshes are read from {', '.join(_ENDINGS)}, and {path} has none of these endings")
     _check_size(path, _MAX_BYTES)
-    with open(path, "rb") as file:
+    with reading(path), open(path, "rb") as file:
         start = file.read(_MAX_HEADER)
     if not start.startswith(b"ply"):
         return None
@@ -326,7 +329,8 @@ def _read_vertices(path: Path, header: _Header) -> np.ndarray:
     needed = header.length + header.vertices * header.vertex_type.itemsize
     if path.stat().st_size < needed:
         raise InputError(f"the PLY file {path} is truncated: {path.stat().st_size} bytes of at least {needed}")
-    return np.fromfile(path, dtype=header.vertex_type, count=header.vertices, offset=header.length)
+    with reading(path):
+        return np.fromfile(path, dtype=header.vertex_type, count=header.vertices, offset=header.length)
 
 
 def _read_triangles(path: Path, header: _Header) -> Mesh | None:
@@ -341,7 +345,8 @@ def _read_triangles(path: Path, header: _Header) -> Mesh | None:
     there = (path.stat().st_size - offset) // header.face_type.itemsize
     if header.faces and not there:
         raise InputError(f"the PLY file {path} is truncated: its faces are missing")
-    faces = np.fromfile(path, dtype=header.face_type, count=min(header.faces, there), offset=offset)
+    with reading(path):
+        faces = np.fromfile(path, dtype=header.face_type, count=min(header.faces, there), offset=offset)
     if len(faces) < header.faces or not np.all(faces["count"] == 3):
         if np.all(faces["count"] == 3):
             raise InputError(f"the PLY file {path} is truncated: {len(faces)} of {header.faces} faces are there")
@@ -361,8 +366,11 @@ def _read_table_with_trimesh(path: Path, claimed: int | None) -> np.ndarray:
     """x, y and z of every vertex, of which a PLY's header claims so many."""
     _check_size(path, _MAX_BYTES_OF_OTHERS)
     try:
-        loaded: Any = trimesh.load(path, process=False)
+        with reading(path):
+            loaded: Any = trimesh.load(path, process=False)
         points = np.asarray(loaded.vertices, dtype=np.float64)
+    except FileError:
+        raise
     except Exception as error:  # trimesh raises whatever its format readers meet
         raise InputError(f"the point cloud {path} cannot be read ({error}): give a PLY file") from None
     if claimed is not None and len(points) != claimed:

@@ -6,12 +6,15 @@ from typing import Annotated, Literal
 import typer
 
 from greenough.instrument.progress import progress
-from greenough.instrument.verbs import JsonOption, show
+from greenough.instrument.verbs import JsonOption, output_file, output_folder, show
 
 app = typer.Typer()
 
 ReportOption = Annotated[
-    Path | None, typer.Option("--report", metavar="FILE.html", help="Write a page that shows the result as well.")
+    Path | None,
+    typer.Option(
+        "--report", metavar="FILE.html", help="Write a page that shows the result as well.", callback=output_file
+    ),
 ]
 
 
@@ -28,9 +31,14 @@ def report(
         Literal["none", "rigid", "similarity"],
         typer.Option("--align", help="Motion of the points before comparing, as of `greenough compare`."),
     ] = "none",
-    out: Annotated[Path, typer.Option("--out", metavar="FILE.html", help="The page to write.")] = Path("report.html"),
+    out: Annotated[
+        Path, typer.Option("--out", metavar="FILE.html", help="The page to write.", callback=output_file)
+    ] = Path("report.html"),
     png: Annotated[
-        Path | None, typer.Option("--png", metavar="FOLDER", help="Where the figures go as PNG too, for papers.")
+        Path | None,
+        typer.Option(
+            "--png", metavar="FOLDER", help="Where the figures go as PNG too, for papers.", callback=output_folder
+        ),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:

@@ -3,7 +3,7 @@
 import json
 import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -14,8 +14,9 @@ import numpy as np
 
 from greenough.instrument import hdf5
 from greenough.instrument.contract import Rig
-from greenough.instrument.errors import InputError
-from greenough.instrument.files import atomic_path
+from greenough.instrument.errors import FileError, InputError
+from greenough.instrument.file_errors import reading
+from greenough.instrument.files import atomic_path, check_folder, make_folder
 
 KIND = "greenough calibration step"
 VERSION = 3
@@ -71,16 +72,21 @@ class Unfinished:
         """
         wanted = _manifest(rig, run)
         path = self.folder / _MANIFEST
-        if not path.is_file():
+        if not path.exists():
+            make_folder(self.folder)
             try:
-                self.folder.mkdir(exist_ok=True)
-            except OSError as error:
-                raise InputError(f"cannot create the folder {self.folder}: {error.strerror}") from None
-            with atomic_path(path) as temporary:
-                temporary.write_text(json.dumps(wanted, indent=2))
+                with atomic_path(path) as temporary:
+                    temporary.write_text(json.dumps(wanted, indent=2))
+            finally:
+                if not path.exists():
+                    with suppress(OSError):  # where others keep something in it
+                        self.folder.rmdir()
             return
+        check_folder(self.folder)
+        with reading(path):
+            text = path.read_bytes()
         try:
-            found = json.loads(path.read_text())
+            found = json.loads(text)
             differing = [name for name in wanted if found.get(name) != wanted[name]]
         except (ValueError, AttributeError):
             raise InputError(f"{path} is damaged: delete the folder {self.folder} to start anew") from None
@@ -90,6 +96,11 @@ class Unfinished:
                 f"the unfinished calibration {self.folder} was made with {reasons}: go on with what it was started "
                 "with, or delete the folder to start anew"
             )
+
+    @property
+    def holds_steps(self) -> bool:
+        """Whether any step is finished."""
+        return any(self.folder.glob("*.h5"))
 
     @property
     def exposures(self) -> int:
@@ -108,7 +119,13 @@ class Unfinished:
             return Step({str(key): hdf5.get(file, f"arrays/{key}") for key in arrays}, exposure_us, exposures)
 
     def finish(self, name: str, step: Step) -> None:
-        """Keep a finished step; its file appears whole or not at all."""
+        """Keep a finished step; its file appears whole or not at all.
+
+        Raises
+        ------
+        FileError
+            When it cannot be written.
+        """
         with hdf5.create(self._path(name), KIND, VERSION) as file:
             hdf5.put(file, "exposure_us", np.array(step.exposure_us), "us")
             hdf5.put(file, "exposures", np.array(step.exposures), "1")
@@ -128,14 +145,21 @@ class Unfinished:
         layout = h5py.VirtualLayout((len(names), *one.shape), one.dtype)
         for k, name in enumerate(names):
             layout[k] = h5py.VirtualSource(self._path(name).name, f"arrays/{key}", one.shape)  # beside the stack's file
-        with h5py.File(self.folder / _STACK, "w", libver=("v110", "v110")) as file:
-            yield file.create_virtual_dataset(key, layout, fillvalue=np.nan)
+        path = self.folder / _STACK
+        with hdf5.create(path, _STACK, VERSION) as file:
+            file.create_virtual_dataset(key, layout, fillvalue=np.nan)
+        with hdf5.read(path, _STACK, VERSION) as file:
+            stack = file[key]
+            assert isinstance(stack, h5py.Dataset)
+            yield stack
 
     @contextmanager
     def repeated_on_refusal(self, names: Iterable[str]) -> Iterator[None]:
-        """Drop these steps if the body raises InputError, so that the next call does them again."""
+        """Drop these steps if the body refuses them by an InputError, so that the next call does them again."""
         try:
             yield
+        except FileError:  # which says nothing about the steps
+            raise
         except InputError:
             for name in names:
                 self._path(name).unlink(missing_ok=True)

@@ -6,7 +6,9 @@ import numpy as np
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from greenough.instrument.errors import InputError
+from greenough.instrument.errors import FileError, InputError
+from greenough.instrument.file_errors import reading
+from greenough.instrument.files import check_readable
 
 from .materials import MATERIALS
 from .parts import Part, Specimen
@@ -74,12 +76,14 @@ def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (n, 3) float64 and faces (m, 3) int32 as the file has them."""
     if path.suffix.lower() not in SUFFIXES:
         raise InputError(f"{path} is no mesh file that can be read; give one of {', '.join(SUFFIXES)}")
-    if not path.is_file():
-        raise InputError(f"mesh file {path} does not exist")
+    check_readable(path, missing=f"mesh file {path} does not exist")
     try:
-        if path.suffix.lower() == ".stl":
-            _check_length(path.read_bytes())
-        mesh = trimesh.load(path, force="mesh", process=False, skip_materials=True)
+        with reading(path):
+            if path.suffix.lower() == ".stl":
+                _check_length(path.read_bytes())
+            mesh = trimesh.load(path, force="mesh", process=False, skip_materials=True)
+    except FileError:
+        raise
     except Exception as error:  # trimesh's readers raise whatever they stumble over
         raise InputError(
             f"{path} cannot be read as {path.suffix[1:].upper()}: it is damaged or of another format"

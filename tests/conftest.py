@@ -1,10 +1,13 @@
 """Rules for all tests: one Hypothesis profile, a time-out for each test, and how long an unmarked test may take."""
 
 import os
+import signal
 from collections.abc import Iterator
 
 import pytest
 from hypothesis import settings
+
+from interrupts import interrupts_heard
 
 LONGEST_S = 2.0
 """An unmarked test that takes longer fails the run where GREENOUGH_LONGEST_TEST is set, as in CI."""
@@ -17,6 +20,16 @@ settings.register_profile("greenough", deadline=None, derandomize=True)
 settings.load_profile("greenough")
 
 _too_long: list[str] = []
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _interrupts_are_heard() -> Iterator[None]:
+    """Where the tests run as a background job, they and what they start would not notice that they are interrupted."""
+    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
+        yield
+        return
+    with interrupts_heard():
+        yield
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 
 from greenough.instrument.contract import BLANK, PRINTED, Frames, Placement, Rig
-from greenough.instrument.errors import InputError
+from greenough.instrument.errors import FileError, InputError
 from greenough.instrument.journal import Captured, patterns_sha256
 from greenough.instrument.replay import Replay, open_recording
 
@@ -97,6 +97,8 @@ def diagnose_recording(
     if _is_calibration(replay, captures):
         try:
             own = _calibrated(replay, orders)
+        except FileError:
+            raise
         except InputError as error:
             findings.append(_refused(str(error)))
     known = own or calibration

@@ -16,7 +16,7 @@ from typing import Any
 import jinja2
 from markupsafe import Markup
 
-from greenough.instrument.files import atomic_path
+from greenough.instrument.files import atomic_path, make_folder
 
 from .figures import Panel
 from .surface_view import SurfaceView, palettes, payload
@@ -98,6 +98,11 @@ def write_page(path: str | Path, page: Page, pictures: str | Path | None = None)
     page : Page
     pictures : str or Path, optional
         A folder, made if need be, for the panels that have a PNG, as NAME.png.
+
+    Raises
+    ------
+    FileError
+        Where the page, or a figure, cannot be written.
     """
     text = render(page)
     with atomic_path(path) as temporary:
@@ -105,7 +110,7 @@ def write_page(path: str | Path, page: Page, pictures: str | Path | None = None)
     if pictures is None:
         return
     folder = Path(pictures)
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     for section in page.sections:
         for figure in section.figures:
             for panel in figure.panels:

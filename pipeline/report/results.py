@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 
 from greenough.instrument.errors import InputError
+from greenough.instrument.file_errors import reading
+from greenough.instrument.files import check_readable
 
 from ..calibration import Calibration
 from ..compare import Alignment, Surface, error_row, fit_motion, vertical_errors
@@ -46,8 +48,11 @@ def page_of(result: Path, mesh: Path | None, for_papers: bool, align: Alignment 
     InputError
         If it is none of these, or damaged.
     """
-    if not result.exists():
-        raise InputError(f"there is no {result}: give a cloud (.ply), a calibration (.h5), a table (.json) or a folder")
+    if not result.is_dir():
+        check_readable(
+            result,
+            missing=f"there is no {result}: give a cloud (.ply), a calibration (.h5), a table (.json) or a folder",
+        )
     kind = "folder" if result.is_dir() else result.suffix.lower()
     if mesh is None and align != "none":
         raise InputError(f"--align {align} needs a mesh that the points of {result} are laid on: name it")
@@ -219,8 +224,10 @@ def summary_of_claims(rows: int, judged: int, wrong: Sequence[Mapping[str, Any]]
 def _document(path: Path) -> dict[str, Any]:
     if path.stat().st_size > MOST_JSON:
         raise InputError(f"{path} has {path.stat().st_size} bytes, a table at most {MOST_JSON}: give a table of rows")
+    with reading(path):
+        content = path.read_bytes()
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
+        document = json.loads(content.decode("utf-8"))
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path} is no JSON ({error}): give the file of `greenough demo` or `accept`") from None
     if not isinstance(document, dict):

@@ -68,7 +68,7 @@ def test_other_files_are_refused_with_what_they_are(tmp_path: Path) -> None:
         file["data"] = 1
     cases = [
         (tmp_path / "absent.h5", "test file", 3, "there is no test file"),
-        (tmp_path, "test file", 3, "there is no test file"),
+        (tmp_path, "test file", 3, "it is a folder; name a file"),
         (text, "test file", 3, "it is not HDF5"),
         (foreign, "test file", 3, "is not a test file$"),
         (path, "calibration", 3, "is not a calibration but a test file"),

@@ -2,6 +2,7 @@
 
 import http.client
 import json
+import signal
 import socket
 import threading
 import time
@@ -286,14 +287,18 @@ def test_the_verb_ends_after_its_rounds(greenough) -> None:
     assert (rig.placed, rig.camera.exposure_us) == ([], 10_000)
 
 
-def test_an_interruption_leaves_nothing(greenough, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_and_a_termination_end_it_cleanly(greenough, monkeypatch: pytest.MonkeyPatch, number: int) -> None:
     rig, before = Rig(), threading.active_count()
 
     def interrupted(patterns: np.ndarray) -> Frames:
-        raise KeyboardInterrupt
+        signal.raise_signal(number)
+        raise AssertionError("it went on")
 
     monkeypatch.setattr(rig, "capture", interrupted)
-    assert greenough(rig)[0] == 130
+    code, errors = greenough(rig)
+    assert code == 0
+    assert len(errors.splitlines()) == 1, "only where the page is"
     assert not rig.is_open
     assert threading.active_count() == before
 

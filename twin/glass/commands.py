@@ -6,9 +6,8 @@ from typing import Annotated
 
 import typer
 
-from greenough.instrument.errors import InputError
 from greenough.instrument.progress import progress
-from greenough.instrument.verbs import JsonOption, SetOption, show
+from greenough.instrument.verbs import JsonOption, SetOption, output_folder, show
 
 app = typer.Typer()
 
@@ -16,7 +15,9 @@ app = typer.Typer()
 @app.command()
 def optics(
     rig: Annotated[str, typer.Argument(metavar="[RIG]", help="A twin.")] = "twin",
-    out: Annotated[Path, typer.Option("--out", metavar="FOLDER", help="Where the pictures go.")] = Path("build/optics"),
+    out: Annotated[
+        Path, typer.Option("--out", metavar="FOLDER", help="Where the pictures go.", callback=output_folder)
+    ] = Path("build/optics"),
     settings: SetOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -24,6 +25,7 @@ def optics(
 
     Prints what they amount to to first order.
     """
+    from greenough.instrument.files import make_folder
     from greenough.instrument.rigfile import load_rig_file
 
     from ..settings import twin_settings
@@ -33,10 +35,7 @@ def optics(
     from .prescription import BUILT_IN, load_prescription
 
     twin_settings(load_rig_file(rig, settings or []))  # refuses what is no twin
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"cannot make the folder {out}: {error.strerror}; name another with --out") from None
+    make_folder(out)
     summaries, files = {}, []
     with progress(len(BUILT_IN), "drawing", quiet=as_json) as advance:
         for name in BUILT_IN:

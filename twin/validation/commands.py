@@ -6,8 +6,9 @@ from typing import Annotated
 
 import typer
 
+from greenough.instrument.files import check_folder
 from greenough.instrument.progress import progress
-from greenough.instrument.verbs import JsonOption, SetOption, show
+from greenough.instrument.verbs import JsonOption, SetOption, output_file, output_folder, show
 from greenough.pipeline.report_command import ReportOption
 
 from .benchmarks.required import REQUIRED, Section
@@ -18,7 +19,9 @@ app = typer.Typer()
 @app.command()
 def demo(
     rig: Annotated[str, typer.Argument(metavar="[RIG]", help="A twin.")] = "twin",
-    out: Annotated[Path, typer.Option("--out", metavar="FOLDER", help="Where the files go.")] = Path("build/demo"),
+    out: Annotated[
+        Path, typer.Option("--out", metavar="FOLDER", help="Where the files go.", callback=output_folder)
+    ] = Path("build/demo"),
     settings: SetOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -46,7 +49,9 @@ def study(
     study: Annotated[str, typer.Argument(metavar="STUDY", help="A built-in study, or a study file.")],
     out: Annotated[
         Path | None,
-        typer.Option("--out", metavar="FOLDER", help="Where results go. [default: build/studies/STUDY]"),
+        typer.Option(
+            "--out", metavar="FOLDER", help="Where results go. [default: build/studies/STUDY]", callback=output_folder
+        ),
     ] = None,
     scheduler: Annotated[
         str | None, typer.Option("--scheduler", metavar="ADDRESS", help="Run on the workers of a Dask scheduler.")
@@ -67,6 +72,7 @@ def study(
     chosen = load_study(study)
     runs = runs_of(chosen, settings or [])
     folder = out or Path("build/studies") / Path(study).stem
+    check_folder(folder)
     execute_all = on_cluster(scheduler) if scheduler else here
     with progress(len(missing(runs, folder)), chosen.name, quiet=as_json) as advance:
         summary = run_study(chosen, runs, folder, execute_all, advance)
@@ -84,9 +90,9 @@ def accept(
         Path | None,
         typer.Option("--calibration", metavar="CAL.h5", help="Of this rig. [default: calibrated first, beside FILE]"),
     ] = None,
-    out: Annotated[Path, typer.Option("--out", metavar="FILE.json", help="Where the table goes.")] = Path(
-        "acceptance.json"
-    ),
+    out: Annotated[
+        Path, typer.Option("--out", metavar="FILE.json", help="Where the table goes.", callback=output_file)
+    ] = Path("acceptance.json"),
     report: ReportOption = None,
     settings: SetOption = None,
     as_json: JsonOption = False,

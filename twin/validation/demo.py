@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TypeVar
 
+from greenough.instrument.files import make_folder
 from greenough.pipeline import acquisition
 from greenough.pipeline.calibration import Calibration, Method
 from greenough.pipeline.unfinished import Unfinished
@@ -50,9 +51,9 @@ def demonstrate(rig_name: str, overrides: Sequence[str], folder: Path, advance: 
     Raises
     ------
     InputError
-        If the rig is not a twin, or its settings are refused.
+        If the rig is not a twin, its settings are refused, or ``folder`` cannot be written in.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     calibrations = _calibrate(rig_name, overrides, folder, advance)
     rig, bench = open_twin(rig_name, overrides, run=MEASUREMENT_RUN)
     setups = [Setup(rig, bench, calibration) for calibration in calibrations]

@@ -1,12 +1,12 @@
 """The verb of the emulated devices: serve."""
 
-import contextlib
 import sys
 import threading
 from typing import Annotated
 
 import typer
 
+from greenough.instrument.signals import until_told_to_end
 from greenough.instrument.verbs import RunOption, SetOption, show
 
 app = typer.Typer()
@@ -31,7 +31,7 @@ def serve(
     """Emulate a rig's devices around the twin, until interrupted.
 
     They listen at the rig file's addresses: a LightCrafter on TCP, a GigE Vision camera, a Zaber stage on TCP and on a
-    terminal, and a bench that takes placements.
+    terminal, and a bench that takes placements. Ctrl-C and SIGTERM end it.
     """
     from greenough.instrument.rigfile import load_rig_file
 
@@ -48,13 +48,7 @@ def serve(
         exposures_done=exposures_done,
         allow_remote=allow_remote,
     )
-    with emulated:
+    with emulated, until_told_to_end():
         show({"rig": rig_file.name, **emulated.addresses}, as_json)
-        wait_for_interrupt()
-
-
-def wait_for_interrupt() -> None:
-    """Ctrl-C is how a server is meant to end: it returns then. Any other signal ends the process as it does."""
-    sys.stdout.flush()
-    with contextlib.suppress(KeyboardInterrupt):
+        sys.stdout.flush()
         threading.Event().wait()

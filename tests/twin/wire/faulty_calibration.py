@@ -4,7 +4,6 @@ All devices of ``EmulatedRig`` are there, around a scene of plain geometry. What
 fault strikes when a certain one of these events has come and before it is answered.
 """
 
-import contextlib
 import multiprocessing
 import os
 import signal
@@ -13,7 +12,7 @@ import sys
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
@@ -40,6 +39,7 @@ from greenough.twin.wire.gige_camera import Trigger
 from greenough.twin.wire.gige_registers import HEARTBEAT_MS
 from greenough.twin.wire.lightcrafter import Fault, Faults
 from greenough.twin.wire.line_server import LineServer
+from interrupts import interrupts_heard
 
 TIMEOUTS_S = {
     "lightcrafter.timeout_s": 2.0,
@@ -372,16 +372,6 @@ class Outcome:
         """Of the calibration that was made in the end; infinite where there is none."""
         calibration = (self.second or self.first).calibration
         return np.inf if calibration is None else largest_error_um(calibration)
-
-
-@contextlib.contextmanager
-def interrupts_heard() -> Iterator[None]:
-    """Ctrl-C interrupts this process and those that it starts, even where it runs as a background job."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 def missing_exposures(kept: tuple[str, ...]) -> tuple[int, int]:

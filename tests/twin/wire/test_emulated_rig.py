@@ -202,13 +202,19 @@ def test_a_port_that_is_taken_is_one_sentence_and_nothing_stays_open():
 
 @pytest.mark.slow
 @pytest.mark.essential
-def test_serve_says_where_and_ends_by_an_interrupt():
+@pytest.mark.parametrize(
+    ("ignored", "number"), [(False, signal.SIGINT), (False, signal.SIGTERM), (True, signal.SIGTERM)]
+)
+def test_serve_says_where_and_ends_cleanly(ignored, number):
+    """By Ctrl-C, and by a termination, which a background job of a script hears alone."""
     need_aravis()
     address = free_address()
     settings = [*SMALL, f'genicam.address="{address}"', f'lightcrafter.host="{address}"']
     settings += [f'zaber.port="socket://{address}:21846"', f'operator.address="{address}:21847"']
     arguments = [item for setting in settings for item in ("--set", setting)]
     command = [str(Path(sys.executable).parent / "greenough"), "serve", "wire", "--json", *arguments]
+    if ignored:
+        command = ["sh", "-c", 'trap "" INT; exec "$@"', "sh", *command]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as server:
         try:
             assert server.stdout is not None
@@ -222,8 +228,10 @@ def test_serve_says_where_and_ends_by_an_interrupt():
                 rig.stage.move_to_mm(1.0)
                 assert rig.stage.position_mm == pytest.approx(1.0, abs=1e-3)
         finally:
-            server.send_signal(signal.SIGINT)
-        _, errors = server.communicate()
+            if ignored:
+                server.send_signal(signal.SIGINT)
+            server.send_signal(number)
+        _, errors = server.communicate(timeout=60)
     assert (server.returncode, errors) == (0, "")
 
 

@@ -7,8 +7,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from greenough.instrument.errors import InputError
-from greenough.instrument.files import atomic_path
+from greenough.instrument.errors import FileError, InputError
+from greenough.instrument.files import atomic_path, check_file
 from greenough.pipeline import acquisition
 from greenough.pipeline.calibration import Calibration
 from greenough.pipeline.unfinished import Unfinished
@@ -112,6 +112,7 @@ def accept(
         If the rig is not a twin, its settings are refused, or the calibration is not its own. What an artefact's
         measurement or evaluation refuses makes its rows missing instead.
     """
+    check_file(out)
     if calibration_file is None:
         calibration = _calibrate(rig_name, overrides, out, advance)
     else:
@@ -134,6 +135,8 @@ def judge(instrument: Instrument, advance: Advance) -> JudgedTable[Row]:
         reason = f"the {what} yielded no such row"
         try:
             rows.extend(group.rows(instrument, advance))
+        except FileError:
+            raise
         except InputError as error:
             reason = f"{what}: {error}"
         found = {row.name for row in rows}
@@ -152,7 +155,6 @@ def _calibrate(rig_name: str, overrides: Sequence[str], out: Path, advance: Adva
 def _write(out: Path, table: JudgedTable[Row], facts: Mapping[str, Any]) -> None:
     rows = [{name: _or_none(value) for name, value in asdict(row).items()} for row in table.rows]
     document = {"rows": rows, "missing": dict(table.missing), "environment": environment() | dict(facts)}
-    out.parent.mkdir(parents=True, exist_ok=True)
     with atomic_path(out) as temporary:
         temporary.write_text(json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False), encoding="utf-8")
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from importlib.util import find_spec
 
-from greenough.instrument.errors import InputError
+from greenough.instrument.errors import FileError, InputError
 
 from ..judged_table import JudgedTable
 from .required import REQUIRED, Section
@@ -81,6 +81,8 @@ def bench(
         try:
             module = import_module(f".{measurement.module}", __package__)
             rows.extend(getattr(module, measurement.function)(rig_name, overrides))
+        except FileError:
+            raise
         except InputError as error:
             reason = str(error)
         found = {row.name for row in rows}

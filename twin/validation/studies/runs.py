@@ -14,7 +14,8 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from greenough.instrument.errors import InputError
+from greenough.instrument.errors import FileError, InputError
+from greenough.instrument.file_errors import reading
 from greenough.instrument.files import atomic_path
 from greenough.instrument.rigfile import builtin_rigs, load_rig_file
 
@@ -109,7 +110,7 @@ def execute(run: Run) -> Outcome:
     Raises
     ------
     InputError
-        If rig and overrides mean other settings here than where the run was drawn up.
+        If rig and overrides mean other settings here than where the run was drawn up, or a file cannot be written.
     """
     if load_rig_file(run.rig, run.overrides).settings_sha256 != run.settings_sha256:
         raise InputError(
@@ -121,6 +122,8 @@ def execute(run: Run) -> Outcome:
     with threadpool_limits(1):  # the order in which BLAS sums, and the last digits with it, hang on its threads
         try:
             figures, failure = measure(run.rig, run.overrides, run.name, lambda amount: None), None
+        except FileError:  # says nothing about this instrument
+            raise
         except InputError as error:
             figures, failure = [], str(error)
     return Outcome([_plain(line) for line in figures], failure, time.perf_counter() - start, _versions())
@@ -142,13 +145,15 @@ def kept(folder: Path, run: Run) -> Outcome | None:
     Raises InputError for a file that is not a result.
     """
     path = folder / run.file_name
+    if not path.exists():
+        return None
+    with reading(path):
+        content = path.read_bytes()
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
+        document = json.loads(content.decode("utf-8"))
         lines = [{name: math.nan if value is None else value for name, value in line.items()}
                  for line in document["figures"]]  # fmt: skip
         return Outcome(lines, document["failure"], document["seconds"], document["versions"])
-    except FileNotFoundError:
-        return None
     except (ValueError, KeyError, TypeError, AttributeError):
         raise InputError(f"{path} is damaged or is not the result of a run: remove it, and it is done again") from None
 

@@ -6,8 +6,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from greenough.instrument.errors import InputError
-from greenough.instrument.files import atomic_path
+from greenough.instrument.files import atomic_path, make_folder
 
 from ..benchmarks.rows import Row
 from .runs import Outcome, Run, execute, keep, kept, nan_as_null
@@ -86,10 +85,7 @@ def run_study(
     InputError
         If a result in ``folder`` is damaged, or nothing can be written there.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"cannot write to {folder}: {error.strerror}; name another folder") from None
+    make_folder(folder)
     for run, outcome in execute_all(missing(runs, folder)):
         keep(folder, run, outcome)
         advance(1)

@@ -9,8 +9,10 @@ from . import colours
 from .figures import ACCENT, FAINT, FIRST, GRID, INK, SECOND, Panel, graph
 from .map_panels import map_panel
 from .page import Figure, Lead
+from .tables import text_of
 from .verdict_table import VERDICT_TEXT, counted_table, is_number, measured_text, verdict_table
 
+_SPECIMENS = {"bga": "ball grid array"}
 _REACH = 1.5  # times the limit: as far as bars go
 
 
@@ -34,7 +36,7 @@ def relief_figure(
     stem : str
         How the panel's name begins.
     what : str
-        The specimen in words.
+        The specimen.
     xyz : (rows, cols, 3) float
         Points on the camera's pixels, mm; NaN where there is none. None is drawn if that is everywhere.
     origin : (int, int)
@@ -42,7 +44,7 @@ def relief_figure(
     note : str
         What was done to the points.
     """
-    height = xyz[..., 2]
+    height, what = xyz[..., 2], _SPECIMENS.get(what, what)
     if not np.isfinite(height).any():
         return None
     panels: list[Panel] = []
@@ -53,8 +55,8 @@ def relief_figure(
         panels, f"{stem}-relief", f"{what}, measured height", height, "z (mm)", colours.HEIGHT, low, high, for_papers,
         origin=origin, mm_per_px=float(np.median(apart)) if len(apart) else None,
     )  # fmt: skip
-    count = int(np.isfinite(height).sum())
-    return Figure(panels, f"{what[:1].upper()}{what[1:]} as it was measured: {count} points, no alignment. {note}")
+    count = text_of(int(np.isfinite(height).sum()))
+    return Figure(panels, f"{what[:1].upper()}{what[1:]} as it was measured: {count} points. {note}")
 
 
 def limits_figure(lines: Sequence[Mapping[str, Any]], for_papers: bool) -> Figure | None:

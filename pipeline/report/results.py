@@ -83,8 +83,11 @@ def cloud_page(name: str, cloud: PointCloud, mesh: Mesh | None, for_papers: bool
 
 
 def calibration_page(name: str, calibration: Calibration, for_papers: bool) -> Page:
-    """What a calibration says about itself."""
-    return Page(f"Calibration: {name}", _written(), calibration_sections(calibration, for_papers))
+    """What a calibration says about itself: first its figures, and how far it may displace heights."""
+    first, *sections = calibration_sections(calibration, for_papers)
+    uncertainty = sections[-1].figures[0]
+    lead = Lead(first.tables[0], "", Figure(uncertainty.panels[:1], "Standard uncertainty that all points share."))
+    return Page(f"Calibration: {name}", _written(), sections, lead=lead)
 
 
 def calibration_sections(calibration: Calibration, for_papers: bool) -> list[Section]:

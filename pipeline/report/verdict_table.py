@@ -31,7 +31,7 @@ VERDICT_COLUMNS = ("claim", "paper", "measured", "truth/limit", "verdict")
 VERDICT_TEXT = (
     "By the bundle calibration and unfiltered unless a line says otherwise. ± is the standard deviation that the row "
     "states for sampling and for what its model leaves to chance; a row without ± states none. “=” stands before a "
-    "true value, “≤”, “≥” and “±” before a limit."
+    "true value, “≤”, “≥” and “±” before a limit, whose unit is that of the whole line."
 )
 _NOTHING = "-"
 _DIGITS, _LIMIT_DIGITS = 3, 4  # significant ones, of a figure without an uncertainty and of a limit
@@ -80,17 +80,17 @@ def _paper(line: Mapping[str, Any]) -> str:
     if not is_number(paper):
         return "no figure"
     sign = "± " if line.get("bound") == "within" else ""
-    return f"{sign}{paper:.{_LIMIT_DIGITS}g} {unit_of(line.get('unit'))}".rstrip()
+    return f"{sign}{paper:.{_LIMIT_DIGITS}g}"
 
 
 def _reference(line: Mapping[str, Any]) -> str:
-    truth, limit = line.get("truth"), line.get("limit")
+    truth, limit, unit = line.get("truth"), line.get("limit"), unit_of(line.get("unit"))
     if is_number(truth):
-        return f"= {_significant(truth, _digits(line))}"
+        return f"= {_significant(truth, _digits(line))} {unit}".rstrip()
     if not is_number(limit):
-        return _NOTHING
+        return f"({unit})" if unit else _NOTHING
     sign = {"at least": "≥", "within": "±", "about nominal": "±"}.get(str(line.get("bound")), "≤")
-    return f"{sign} {limit:.{_LIMIT_DIGITS}g}"
+    return f"{sign} {limit:.{_LIMIT_DIGITS}g} {unit}".rstrip()
 
 
 def verdict_sentence(lines: Sequence[Mapping[str, Any]]) -> str:

@@ -330,7 +330,9 @@ def _relief(specimens: Sequence[SpecimenMaps], for_papers: bool) -> Figure | Non
     maps = next((best[name] for name in SHOWN_FIRST if name in best), None)
     if maps is None:
         return None
-    return relief_figure(maps.stem, maps.name, maps.xyz, maps.origin, f"Filter: {maps.filter}.", for_papers)
+    return relief_figure(
+        maps.stem, maps.name, maps.xyz, maps.origin, f"Filter: {maps.filter}; alignment: none.", for_papers
+    )
 
 
 def _surface(maps: SpecimenMaps) -> SurfaceView:

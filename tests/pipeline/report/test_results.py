@@ -64,7 +64,9 @@ def panels(page) -> set[str]:
 
 
 def words(page) -> str:
-    cells = [cell for s in page.sections for table in s.tables for row in table.rows for cell in row.cells]
+    tables = [table for s in page.sections for table in s.tables]
+    tables += [page.lead.table] if page.lead is not None and page.lead.table is not None else []
+    cells = [cell for table in tables for row in table.rows for cell in row.cells]
     return " ".join(f"{cell.text} {cell.small}" for cell in cells)
 
 
@@ -107,6 +109,7 @@ def test_a_calibration_has_the_papers_figures_8_to_10_and_its_planes_and_uncerta
         "calibration-uncertainty", "calibration-uncertainty-z",
     }  # fmt: skip
     assert "bench" in words(page)
+    assert [panel.name for panel in page.lead.figure.panels] == ["calibration-uncertainty"]
     svg = {panel.name: panel.svg for s in page.sections for f in s.figures for panel in f.panels}
     assert ">139 centres in 4 postures<" in svg["spots-per-posture"]
 
@@ -174,8 +177,8 @@ def test_a_table_with_a_verdict_opens_with_it_and_with_a_picture(tmp_path):
     path = with_verdict(write_claims(tmp_path), LINE, LINE | {"verdict": "fails", "unexpected": True})
     page = page_of(path, None, for_papers=False)
     assert lead_words(page) == [
-        ["depth error 95 %", "4 µm", "2.35 ± 0.04", "≤ 4", "holds"],
-        ["depth error 95 %", "4 µm", "2.35 ± 0.04", "≤ 4", "fails"],
+        ["depth error 95 %", "4", "2.35 ± 0.04", "≤ 4 µm", "holds"],
+        ["depth error 95 %", "4", "2.35 ± 0.04", "≤ 4 µm", "fails"],
     ]
     assert [row.marked for row in page.lead.table.rows] == [False, True]
     assert page.summary.startswith("Paper's claims in 2 lines: 1 hold, 1 fail. 1 rows;")

@@ -148,9 +148,9 @@ def test_the_true_distance_stands_beside_the_measured_one_and_others_stand_besid
     printed = screen_lines(verdict_of([distance, row(predicted=2.0)]), Path("demo"))
     (of_distance,) = [text for text in printed if text.startswith("circle distance, mean")]
     assert "0.65003" in of_distance
-    assert "= 0.64999" in of_distance
+    assert "= 0.64999 mm" in of_distance
     (of_depth,) = [text for text in printed if text.startswith("depth error")]
-    assert "≤ 4" in of_depth
+    assert "≤ 4 µm" in of_depth
 
 
 def test_figures_come_in_the_unit_of_the_paper():

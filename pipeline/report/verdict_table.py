@@ -6,7 +6,7 @@ put into words.
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, TypeGuard
 
 from .tables import MINUS, Cell, Row, Table, text_of, unit_of
 
@@ -107,7 +107,11 @@ def verdict_table(lines: Iterable[Mapping[str, Any]]) -> Table:
     for line in lines:
         claim, paper, measured, reference, verdict = verdict_cells(line)
         predicted = line.get("predicted")
-        foretold = "" if not is_number(predicted) or is_number(line.get("truth")) else f"predicted {predicted:.3g}"
+        foretold = ""
+        if is_number(predicted) and not is_number(line.get("truth")):
+            foretold = _true_minus(
+                f"{predicted:.3g}" if verdict == FAILS_AS_PREDICTED else f"predicted {predicted:.3g}"
+            )
         rows.append(
             Row(
                 [
@@ -115,7 +119,7 @@ def verdict_table(lines: Iterable[Mapping[str, Any]]) -> Table:
                     Cell(_true_minus(paper)),
                     Cell(_true_minus(measured)),
                     Cell(_true_minus(reference)),
-                    Cell(verdict, foretold if verdict not in (HOLDS, NOT_MEASURED) else ""),
+                    Cell(verdict, "" if verdict in (HOLDS, NOT_MEASURED) else foretold),
                 ],
                 marked=line.get("unexpected") is True,
             )
@@ -142,7 +146,7 @@ def _true_minus(text: str) -> str:
     return "–" if text == _NOTHING else text.replace("-", MINUS)
 
 
-def is_number(value: Any) -> bool:
+def is_number(value: Any) -> TypeGuard[float]:
     """Whether a value from a file is a finite number, and no larger an integer than a float can be."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False

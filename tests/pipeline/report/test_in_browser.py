@@ -235,7 +235,7 @@ def test_rows_are_folded_until_asked_for_and_can_be_searched_by_name_and_word(br
         opened.tab.click("summary")
         shown = "[...document.querySelectorAll('tbody tr{}')].filter((row) => row.checkVisibility()).length"
         assert opened.tab.evaluate(shown.format(":not(.group)")) == 24
-        for words in ("row_11 plane", "row 11 plane"):
+        for words in ("row_11 coin", "row 11 coin"):
             opened.tab.fill("input.rows", words)
             assert opened.tab.evaluate(shown.format(":not(.group)")) == 1
             assert opened.tab.evaluate(shown.format(".group")) == 1

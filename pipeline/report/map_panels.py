@@ -5,6 +5,7 @@ A sheet holds lines, texts and pictures in points; it becomes SVG for the page a
 
 import base64
 import io
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -84,6 +85,7 @@ def map_panel(
     step: int = 1,
     rows: Sequence[int] = (),
     spots: np.ndarray | None = None,
+    mm_per_px: float | None = None,
 ) -> None:
     """A map with its colour bar, as a panel that is added to ``into``.
 
@@ -103,6 +105,8 @@ def map_panel(
         Of the camera's picture, marked by dashed lines.
     spots : (n, 2) float, optional
         Column and row of points to mark.
+    mm_per_px : float, optional
+        Of the camera's pixels on the specimen: a bar below the map then shows a round length.
     """
     seen = _window(np.isfinite(values))
     values, counts = values[seen], None if counts is None else counts[seen]
@@ -138,6 +142,8 @@ def map_panel(
         x, y = x_of(col), y_of(row)
         sheet.items.append(_Line((x - 2, x + 2), (y, y), ACCENT, 0.8))
         sheet.items.append(_Line((x, x), (y - 2, y + 2), ACCENT, 0.8))
+    if mm_per_px is not None and mm_per_px > 0:
+        _scale_bar(sheet, right, bottom, scale / mm_per_px, width)
     _bar(sheet, right + _GAP, height, unit, palette, low, high)
     into.append(Panel(name, title, themed(_svg(sheet)), _png(sheet) if for_papers else None))
 
@@ -148,6 +154,16 @@ def _window(seen: np.ndarray) -> tuple[slice, slice]:
     if len(rows) == 0:
         return slice(0, seen.shape[0]), slice(0, seen.shape[1])
     return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(cols[0]), int(cols[-1]) + 1)
+
+
+def _scale_bar(sheet: _Sheet, right: float, bottom: float, points_per_mm: float, width: float) -> None:
+    """A round length below the map's right end: the longest of 1, 2 and 5 that takes at most a quarter of its width."""
+    power = 10.0 ** math.floor(math.log10(width / 4 / points_per_mm))
+    length = max(power * step for step in (1, 2, 5) if power * step * points_per_mm <= width / 4)
+    left, y = right - length * points_per_mm, bottom + 20
+    sheet.items.append(_Line((left, right), (y, y), INK, 1.6))
+    label = f"{length:g} mm" if length >= 0.1 else f"{1e3 * length:g} µm"
+    sheet.items.append(_Text(left - 4, y + 3, label, _SIZE, "end"))
 
 
 def _bar(sheet: _Sheet, left: float, height: float, unit: str, palette: str, low: float, high: float) -> None:

@@ -47,6 +47,15 @@ class Section:
 
 
 @dataclass(frozen=True, eq=False)
+class Lead:
+    """What a page opens with: a verdict, how to read it, and one picture of what was measured."""
+
+    table: Table | None
+    text: str = ""
+    figure: Figure | None = None
+
+
+@dataclass(frozen=True, eq=False)
 class Page:
     """A report.
 
@@ -59,6 +68,8 @@ class Page:
     alarm : bool
         Whether the summary says that something is wrong.
     surfaces_before : int
+    lead : Lead, optional
+        Stands before everything else.
     """
 
     title: str
@@ -67,6 +78,13 @@ class Page:
     surfaces: Sequence[SurfaceView] = field(default_factory=tuple)
     alarm: bool = False
     surfaces_before: int = 1
+    lead: Lead | None = None
+
+    @property
+    def figures(self) -> list[Figure]:
+        """All of them, that of the lead first."""
+        first = [] if self.lead is None or self.lead.figure is None else [self.lead.figure]
+        return first + [figure for section in self.sections for figure in section.figures]
 
 
 def render(page: Page) -> str:
@@ -111,12 +129,10 @@ def write_page(path: str | Path, page: Page, pictures: str | Path | None = None)
         return
     folder = Path(pictures)
     make_folder(folder)
-    for section in page.sections:
-        for figure in section.figures:
-            for panel in figure.panels:
-                if panel.png is not None:
-                    with atomic_path(folder / f"{panel.name}.png") as temporary:
-                        temporary.write_bytes(panel.png)
+    for panel in (panel for figure in page.figures for panel in figure.panels):
+        if panel.png is not None:
+            with atomic_path(folder / f"{panel.name}.png") as temporary:
+                temporary.write_bytes(panel.png)
 
 
 def _json(value: Any) -> Markup:

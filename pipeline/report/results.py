@@ -12,17 +12,26 @@ import numpy as np
 from greenough.instrument.errors import InputError
 from greenough.instrument.file_errors import reading
 from greenough.instrument.files import check_readable
+from greenough.instrument.plain_table import first_few
 
 from ..calibration import Calibration
 from ..compare import Alignment, Surface, error_row, fit_motion, vertical_errors
 from ..point_cloud import Mesh, PointCloud, read_cloud, read_mesh
 from . import calibration_figures
 from .cloud_figures import cloud_figures
-from .page import Figure, Page, Section
+from .lead import acceptance_lead, relief_figure, verdict_lead
+from .page import Figure, Lead, Page, Section
 from .surface_view import SurfaceView, view_of_cloud
 from .tables import Table, acceptance_table, claims_table, facts_table, fixed, is_as_expected, text_of
+from .verdict_table import verdict_sentence
 
 CLAIMS_FILE = "claims.json"
+MOST_NAMES = 400
+"""Characters that names of rows may take in a summary."""
+
+SHOWN_FIRST = ("bga", "coin")
+"""Specimens of which a demo's page opens with the first that is there."""
+
 MOST_JSON = 1 << 24
 """Bytes of a table that is read: some ten thousand rows."""
 
@@ -79,8 +88,11 @@ def cloud_page(name: str, cloud: PointCloud, mesh: Mesh | None, for_papers: bool
 
 
 def calibration_page(name: str, calibration: Calibration, for_papers: bool) -> Page:
-    """What a calibration says about itself."""
-    return Page(f"Calibration: {name}", _written(), calibration_sections(calibration, for_papers))
+    """What a calibration says about itself: first its figures, and how far it may displace heights."""
+    first, *sections = calibration_sections(calibration, for_papers)
+    uncertainty = sections[-1].figures[0]
+    lead = Lead(first.tables[0], "", Figure(uncertainty.panels[:1], "Standard uncertainty that all points share."))
+    return Page(f"Calibration: {name}", _written(), sections, lead=lead)
 
 
 def calibration_sections(calibration: Calibration, for_papers: bool) -> list[Section]:
@@ -113,7 +125,9 @@ def table_page(path: Path) -> Page:
     """The rows of ``claims.json`` or of ``greenough accept``."""
     document = _document(path)
     sections, summary, alarm = _table_sections(path, document)
-    return Page(f"{sections[0].title}: {path.name}", summary, sections, alarm=alarm, surfaces_before=len(sections))
+    lead = _lead(document, None, for_papers=False)
+    title = f"{sections[0].title}: {path.name}"
+    return Page(title, summary, sections, alarm=alarm, surfaces_before=len(sections), lead=lead)
 
 
 def folder_page(folder: Path, for_papers: bool) -> Page:
@@ -121,7 +135,8 @@ def folder_page(folder: Path, for_papers: bool) -> Page:
     path = folder / CLAIMS_FILE
     if not path.is_file():
         raise InputError(f"the folder {folder} has no {CLAIMS_FILE}: give the folder of a demo, or a single result")
-    (*sections, made_with), summary, alarm = _table_sections(path, _document(path))
+    document = _document(path)
+    (*sections, made_with), summary, alarm = _table_sections(path, document)
     before = len(sections)
     views = []
     for truth in sorted(folder.glob("*-truth.ply")):
@@ -136,7 +151,28 @@ def folder_page(folder: Path, for_papers: bool) -> Page:
     if calibration.is_file():
         sections += calibration_sections(Calibration.load(calibration), for_papers)
     sections.append(made_with)
-    return Page(f"Results: {folder.resolve().name}", summary, sections, views, alarm, before)
+    lead = _lead(document, _relief(views, for_papers), for_papers)
+    return Page(f"Results: {folder.resolve().name}", summary, sections, views, alarm, before, lead)
+
+
+def _relief(views: Sequence[SurfaceView], for_papers: bool) -> Figure | None:
+    """The specimen of a demo's folder that its page opens with."""
+    found = {view.name.partition("-")[0]: view for view in views}
+    view = next((found[name] for name in SHOWN_FIRST if name in found), views[0] if views else None)
+    if view is None:
+        return None
+    name = view.name.removesuffix("-deconvolved")
+    return relief_figure(name, name, view.xyz, view.origin, view.note, for_papers)
+
+
+def _lead(document: Mapping[str, Any], figure: Figure | None, for_papers: bool) -> Lead | None:
+    """What a page of a table opens with: of a file of an older version, which has no verdict, at most a picture."""
+    lines = _verdict(document)
+    if not lines:
+        return None if figure is None else Lead(None, "", figure)
+    if isinstance(document.get("claims"), list):
+        return verdict_lead(lines, figure, for_papers)
+    return acceptance_lead(lines, for_papers)
 
 
 def _cloud_section(
@@ -181,7 +217,7 @@ def _table_sections(path: Path, document: Mapping[str, Any]) -> tuple[list[Secti
         rows = _rows(path, document["claims"])
         wrong = [row for row in rows if not is_as_expected(row)]
         judged = sum(row.get("holds") is not None for row in rows)
-        title, summary = "Claims", summary_of_claims(len(rows), judged, wrong)
+        title, summary = "Claims", summary_of_claims(len(rows), judged, wrong, _verdict(document))
         tables.append(claims_table(rows))
         text = CLAIMS_TEXT
     elif isinstance(document.get("rows"), list):
@@ -192,7 +228,12 @@ def _table_sections(path: Path, document: Mapping[str, Any]) -> tuple[list[Secti
         summary = f"{len(rows)} rows; " + (
             f"{len(wrong)} do not hold: {', '.join(str(row.get('name')) for row in wrong)}." if wrong else "all hold."
         )
-        tables.append(acceptance_table(rows))
+        artefact_of = {
+            str(name): str(line.get("artefact"))
+            for line in _verdict(document)
+            for name in (line["rows"] if isinstance(line.get("rows"), list) else ())
+        }
+        tables.append(acceptance_table(rows, artefact_of))
         text = "Shaded rows do not keep to their limit."
         if isinstance(missing, dict) and missing:
             summary += f" {len(missing)} are missing."
@@ -212,13 +253,22 @@ CLAIMS_TEXT = (
 )
 
 
-def summary_of_claims(rows: int, judged: int, wrong: Sequence[Mapping[str, Any]]) -> str:
-    """One sentence on all claims."""
+def summary_of_claims(
+    rows: int, judged: int, wrong: Sequence[Mapping[str, Any]], verdict: Sequence[Mapping[str, Any]] = ()
+) -> str:
+    """One sentence on all rows, after one on the lines of a verdict if there are any."""
+    first = f"{verdict_sentence(verdict)} " if verdict else ""
     if not wrong:
-        return f"{rows} rows; {judged} have a limit, all of these behave as expected."
-    names = ", ".join(f"{row.get('claim')} ({row.get('specimen')})" for row in wrong)
+        return f"{first}{rows} rows; {judged} have a limit, all of these behave as expected."
+    names = first_few([f"{row.get('claim')} ({row.get('specimen')})" for row in wrong], MOST_NAMES, "the table below")
     behave = "behaves" if len(wrong) == 1 else "behave"
-    return f"{rows} rows; {judged} have a limit, {len(wrong)} {behave} otherwise than expected: {names}."
+    return f"{first}{rows} rows; {judged} have a limit, {len(wrong)} {behave} otherwise than expected: {names}."
+
+
+def _verdict(document: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """The lines of a file's verdict; none where it has none."""
+    lines = document.get("verdict")
+    return [line for line in lines if isinstance(line, dict)] if isinstance(lines, list) else []
 
 
 def _document(path: Path) -> dict[str, Any]:

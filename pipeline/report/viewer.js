@@ -579,12 +579,16 @@
   // Tables ----------------------------------------------------------------------------------------------------------
 
   for (const search of document.querySelectorAll("input.rows")) {
-    const block = search.closest("p"), rows = [...block.nextElementSibling.querySelectorAll("tbody tr")];
+    const block = search.closest("p"), table = block.nextElementSibling;
+    const rows = [...table.querySelectorAll("tbody tr:not(.group)")];
     search.addEventListener("input", () => {
       const words = search.value.toLowerCase().split(/\s+/);
       const texts = rows.map((row) => row.textContent.toLowerCase());
       const found = texts.map((text) => words.every((word) => text.includes(word)));
       rows.forEach((row, k) => (row.hidden = !found[k]));
+      for (const group of table.querySelectorAll("tr.group")) {
+        group.hidden = !group.parentElement.querySelector("tr:not(.group):not([hidden])");
+      }
       block.querySelector("output").textContent = `${found.filter(Boolean).length} of ${rows.length}`;
     });
   }

@@ -121,13 +121,16 @@ def environment() -> dict[str, Any]:
     }
 
 
-def write_claims(path: Path, claims: Sequence[Claim], more: Mapping[str, Any]) -> None:
+def write_claims(
+    path: Path, claims: Sequence[Claim], more: Mapping[str, Any], verdict: Sequence[Mapping[str, Any]] = ()
+) -> None:
     """Write ``claims.json``; it appears whole or not at all. ``more`` joins the environment.
 
-    A figure that could not be measured (NaN) is null.
+    A figure that could not be measured (NaN) is null. Where the lines of a ``verdict`` are given, they stand first.
     """
     rows = [{name: _or_none(value) for name, value in asdict(claim).items()} for claim in claims]
-    document = {"claims": rows, "environment": environment() | dict(more)}
+    document = {"verdict": [dict(line) for line in verdict]} if verdict else {}
+    document |= {"claims": rows, "environment": environment() | dict(more)}
     with atomic_path(path) as temporary:
         temporary.write_text(json.dumps(document, indent=1, allow_nan=False))
 

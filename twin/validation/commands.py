@@ -15,6 +15,11 @@ from .benchmarks.required import REQUIRED, Section
 
 app = typer.Typer()
 
+_COLUMNS = (
+    "claim", "specimen", "calibration", "paper", "measured", "unit", "n", "limit", "predicted", "predicted_sd", "holds",
+    "expected_to_hold",
+)  # fmt: skip
+
 
 @app.command()
 def demo(
@@ -27,19 +32,22 @@ def demo(
 ) -> None:
     """Calibrate a twin, measure, and judge the paper's claims.
 
-    Prints them beside what was measured. Exits with 1 if a row behaves otherwise than expected. Where its limit lies
-    within the spread of what is predicted, nothing is expected.
+    Prints the verdict on them; all rows are in claims.json, and report.html shows them. Exits with 1 if a row behaves
+    otherwise than expected. Where its limit lies within the spread of what is predicted, nothing is expected.
     """
     from .demo import demonstrate, steps
+    from .verdict import screen_lines, verdict_of
 
     overrides = settings or []
     with progress(steps(rig, overrides), "demo", quiet=as_json) as advance:
         claims = demonstrate(rig, overrides, out, advance)
-    columns = ("claim", "specimen", "calibration", "paper", "measured", "unit", "n", "limit", "predicted")
-    columns += ("predicted_sd", "holds", "expected_to_hold")
-    table = [{name: row[name] for name in columns} for row in map(asdict, claims)]
+    verdict = verdict_of(claims)
     unexpected = [claim.claim for claim in claims if not claim.as_expected]
-    show({"claims": table, "unexpected": unexpected, "folder": out}, as_json)
+    if not as_json:
+        print("\n".join(screen_lines(verdict, out)))
+    else:
+        rows = [{name: getattr(claim, name) for name in _COLUMNS} for claim in claims]
+        show({"verdict": verdict.plain, "claims": rows, "unexpected": unexpected, "folder": out}, as_json)
     if unexpected:
         raise typer.Exit(1)
 
@@ -68,6 +76,7 @@ def study(
     from .studies.runs import runs_of
     from .studies.study import here, missing, run_study
     from .studies.study_file import load_study
+    from .studies.verdict import screen_lines, sentence
 
     chosen = load_study(study)
     runs = runs_of(chosen, settings or [])
@@ -76,9 +85,13 @@ def study(
     execute_all = on_cluster(scheduler) if scheduler else here
     with progress(len(missing(runs, folder)), chosen.name, quiet=as_json) as advance:
         summary = run_study(chosen, runs, folder, execute_all, advance)
-    rows = {"rows": [asdict(row) for row in summary.rows], "failures": summary.failures, "versions": summary.versions}
-    figures = {"statistics": [asdict(each) for each in summary.statistics]} if as_json else {}
-    show(figures | summary.tables | rows | {"folder": folder}, as_json)
+    if as_json:
+        figures = {"statistics": [asdict(each) for each in summary.statistics]}
+        rows = {"rows": [asdict(row) for row in summary.rows]}
+        rows |= {"failures": summary.failures, "versions": summary.versions, "folder": folder}
+        show({"verdict": sentence(summary, len(runs))} | figures | summary.tables | rows, as_json)
+    else:
+        print("\n".join(screen_lines(summary, len(runs), folder)))
     if any(row.holds is False for row in summary.rows):
         raise typer.Exit(1)
 
@@ -103,7 +116,8 @@ def accept(
     is missing.
     """
     from .acceptance.table import accept as run
-    from .acceptance.table import captures
+    from .acceptance.table import captures, verdict_lines
+    from .acceptance.verdict import plain, screen_lines
 
     overrides = settings or []
     total = captures(rig, overrides, calibrated=calibration is not None)
@@ -114,11 +128,13 @@ def accept(
         from greenough.pipeline.report.results import table_page
 
         write_page(report, table_page(out))
-    rows = [asdict(row) for row in table.rows]
-    if not as_json:
-        rows = [{name: value for name, value in row.items() if name != "criterion"} for row in rows]
-    beside = {"not_holding": table.not_holding, "missing": dict(table.missing), "table": out}
-    show({"rows": rows, **beside}, as_json)
+    lines = verdict_lines(table)
+    if as_json:
+        rows = [asdict(row) for row in table.rows]
+        beside = {"not_holding": table.not_holding, "missing": dict(table.missing), "table": out}
+        show({"verdict": plain(lines), "rows": rows, **beside}, as_json)
+    else:
+        print("\n".join(screen_lines(table, lines, out)))
     if not table.holds:
         raise typer.Exit(1)
 

@@ -1,4 +1,4 @@
-"""The paper's procedure from beginning to end on the twin: calibrate, measure, compare, and print the claims."""
+"""The paper's procedure from beginning to end on the twin: calibrate, measure, compare, and judge the claims."""
 
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -20,6 +20,7 @@ from .setup import Setup
 from .specimen_maps import SpecimenMaps, specimen_maps
 from .specimens import DECONVOLVED, RAW, SPECIMENS, measure_specimen, specimen_claims
 from .step import step_claims
+from .verdict import verdict_of
 from .volume import PLANES, measure_volume, volume_claims
 
 CALIBRATION_RUN = "demo calibration"
@@ -83,7 +84,7 @@ def demonstrate(rig_name: str, overrides: Sequence[str], folder: Path, advance: 
     paper = next(setup.calibration for setup in setups if setup.believes_stage)
     claims += coarse_stage.coarse_stage_claims(rig_name, overrides, paper, advance)
     facts = {"rig": rig_name, "settings": list(overrides)}
-    write_claims(folder / "claims.json", claims, facts)
+    write_claims(folder / "claims.json", claims, facts, verdict_of(claims).plain)
     write_report(folder / "report.html", claims, setups[0], planes[0], boards[0], maps, facts, folder / "figures")
     return claims
 

@@ -21,9 +21,10 @@ from greenough.pipeline.report.figures import (
     graph,
     histogram,
 )
+from greenough.pipeline.report.lead import relief_figure, verdict_lead
 from greenough.pipeline.report.map_panels import map_panel
 from greenough.pipeline.report.page import Figure, Page, Section, write_page
-from greenough.pipeline.report.results import CLAIMS_TEXT, calibration_sections, summary_of_claims
+from greenough.pipeline.report.results import CLAIMS_TEXT, SHOWN_FIRST, calibration_sections, summary_of_claims
 from greenough.pipeline.report.surface_view import Layer, SurfaceView, error_layer, uncertainty_layer
 from greenough.pipeline.report.tables import Cell, Row, Table, claims_table, facts_table, fixed, text_of
 
@@ -32,6 +33,7 @@ from .noise import PlaneNoise, paper_line
 from .pitch import MeasuredBoard, all_pairs
 from .setup import Setup
 from .specimen_maps import CALIBRATION_STEP_PX, SpecimenMaps
+from .verdict import verdict_of
 
 PAPER_ROW, PAPER_COL = 200, 300
 """Row and column of the diaphragm's maps whose profiles the paper shows."""
@@ -69,9 +71,10 @@ def write_report(
     rows = [asdict(claim) for claim in claims]
     wrong = [row for row, claim in zip(rows, claims, strict=True) if not claim.as_expected]
     judged = sum(claim.holds is not None for claim in claims)
+    lines = verdict_of(claims).plain
     page = Page(
         title="Claims and measurements",
-        summary=summary_of_claims(len(rows), judged, wrong),
+        summary=summary_of_claims(len(rows), judged, wrong, lines),
         sections=[
             Section("Claims", CLAIMS_TEXT, tables=[claims_table(rows)]),
             *calibration_part(setup, for_papers),
@@ -82,6 +85,7 @@ def write_report(
         ],
         surfaces=[_surface(maps) for maps in _best(specimens)],
         alarm=bool(wrong),
+        lead=verdict_lead(lines, _relief(specimens, for_papers), for_papers),
     )
     write_page(path, page, pictures)
 
@@ -318,6 +322,17 @@ def diaphragm_figure(states: Sequence[SpecimenMaps], for_papers: bool) -> Figure
 def _best(specimens: Sequence[SpecimenMaps]) -> list[SpecimenMaps]:
     """The last treatment of every specimen: metal and solder deconvolved, where they could be."""
     return list({maps.name: maps for maps in specimens}.values())
+
+
+def _relief(specimens: Sequence[SpecimenMaps], for_papers: bool) -> Figure | None:
+    """The specimen that the page opens with."""
+    best = {maps.name: maps for maps in _best(specimens)}
+    maps = next((best[name] for name in SHOWN_FIRST if name in best), None)
+    if maps is None:
+        return None
+    return relief_figure(
+        maps.stem, maps.name, maps.xyz, maps.origin, f"Filter: {maps.filter}; alignment: none.", for_papers
+    )
 
 
 def _surface(maps: SpecimenMaps) -> SurfaceView:

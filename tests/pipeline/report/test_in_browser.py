@@ -10,7 +10,7 @@ import pytest
 
 from chromium import Opened, chromium
 from greenough.instrument.contract import RigIdentity
-from greenough.pipeline.point_cloud import PointCloud, write_cloud
+from greenough.pipeline.point_cloud import Mesh, PointCloud, write_cloud, write_mesh
 from greenough.pipeline.report.page import Page, Section, write_page
 from greenough.pipeline.report.results import page_of
 from greenough.pipeline.report.surface_view import SurfaceView, error_layer, uncertainty_layer
@@ -221,19 +221,73 @@ def test_at_a_phones_width_tables_scroll_and_the_page_does_not(browser, tmp_path
     sections = [Section("Claims", "text " * 50, tables=[table, facts])]
     write_page(tmp_path / "page.html", Page("A title", "A summary.", sections, [analytic_surface()]))
     with Opened(browser, tmp_path / "page.html", width=390) as opened:
+        opened.tab.click("summary")
         assert opened.tab.evaluate("document.documentElement.scrollWidth") == 390
         assert opened.tab.evaluate("(t => t.scrollWidth > t.clientWidth)(document.querySelector('.tall'))")
         sizes = "[...document.querySelectorAll('p, td, text')].map((e) => parseFloat(getComputedStyle(e).fontSize))"
         assert min(opened.tab.evaluate(sizes)) >= 11
 
 
-def test_rows_can_be_searched(browser, tmp_path):
-    table = claims_table([claim(claim=f"row_{k}") for k in range(12)])
+def test_rows_are_folded_until_asked_for_and_can_be_searched_by_name_and_word(browser, tmp_path):
+    table = claims_table([claim(claim=f"row_{k}", specimen=s) for k in range(12) for s in ("plane", "coin")])
     write_page(tmp_path / "page.html", Page("A title", "A summary.", [Section("Claims", tables=[table])]))
     with Opened(browser, tmp_path / "page.html") as opened:
-        opened.tab.fill("input.rows", "row_11 plane")
-        shown = "[...document.querySelectorAll('tbody tr')].filter((row) => !row.hidden).length"
-        assert opened.tab.evaluate(shown) == 1
+        assert not opened.tab.is_visible("input.rows")
+        assert not opened.tab.is_visible("tbody tr")
+        opened.tab.click("summary")
+        shown = "[...document.querySelectorAll('tbody tr{}')].filter((row) => row.checkVisibility()).length"
+        assert opened.tab.evaluate(shown.format(":not(.group)")) == 24
+        for words in ("row_11 coin", "row 11 coin"):
+            opened.tab.fill("input.rows", words)
+            assert opened.tab.evaluate(shown.format(":not(.group)")) == 1
+            assert opened.tab.evaluate(shown.format(".group")) == 1
+            assert opened.tab.inner_text(".search output") == "1 of 24"
+
+
+LINE = {
+    "claim": "diaphragm equilibrated 95 %, filtered", "unit": "um", "paper": 1.223, "measured": 2.345,
+    "uncertainty": 0.012, "truth": None, "limit": 4.0, "bound": "at most", "predicted": 2.3,
+    "verdict": "fails, as predicted", "unexpected": False,
+}  # fmt: skip
+
+
+def write_demo(folder: Path, lines: int = 20) -> Path:
+    """A folder as of a demo: a verdict, many rows, and one specimen, the dome."""
+    rows = [claim(claim=f"row_{k}") for k in range(200)]
+    document = {"verdict": [LINE] * (lines - 1) + [LINE | {"unexpected": True}], "claims": rows, "environment": {}}
+    (folder / "claims.json").write_text(json.dumps(document))
+    points = analytic_surface().xyz.reshape(-1, 3)
+    write_cloud(folder / "coin.ply", PointCloud(points, np.argwhere(np.ones((ROWS, COLS))), facts={"filter": "none"}))
+    corners = np.array([[-9.0, -9, 0], [9, -9, 0], [9, 9, 0], [-9, 9, 0]])
+    write_mesh(folder / "coin-truth.ply", Mesh(corners, np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)))
+    return folder
+
+
+def box(tab, selector: str) -> dict:
+    return tab.locator(selector).first.bounding_box()
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("what", ["", "claims.json"], ids=["folder", "table"])
+def test_the_first_screen_shows_the_verdict_and_one_picture(browser, tmp_path, scheme, what):
+    result = write_demo(tmp_path) / what
+    write_page(tmp_path / "page.html", page_of(result, None, for_papers=False))
+    with Opened(browser, tmp_path / "page.html", width=1400, scheme=scheme) as opened:
+        assert opened.tab.evaluate("window.scrollY") == 0
+        last, picture = box(opened.tab, ".lead tbody tr:last-child"), box(opened.tab, ".lead figure img")
+        assert last["y"] + last["height"] < 900
+        assert picture["y"] + picture["height"] < 900
+        assert picture["height"] > 200
+        assert picture["x"] >= last["x"] + last["width"]
+        assert opened.tab.locator(".lead figure img").count() == 1
+        assert opened.complaints == []
+
+
+def test_at_a_phones_width_the_verdict_fits_beside_nothing(browser, tmp_path):
+    write_page(tmp_path / "page.html", page_of(write_demo(tmp_path), None, for_papers=False))
+    with Opened(browser, tmp_path / "page.html", width=390) as opened:
+        assert opened.tab.evaluate("document.documentElement.scrollWidth") == 390
+        assert opened.tab.evaluate("(s => s.scrollWidth <= s.clientWidth)(document.querySelector('.lead .scroll'))")
 
 
 def hostile_pages(folder: Path, calibration) -> list[Path]:
@@ -245,10 +299,16 @@ def hostile_pages(folder: Path, calibration) -> list[Path]:
     row = claim(**{name: HOSTILE for name in ("claim", "specimen", "unit", "filter", "alignment", "criterion")})
     environment = {HOSTILE: HOSTILE, "packages": {HOSTILE: [HOSTILE]}}
     claims = folder / "claims.json"
-    claims.write_text(json.dumps({"claims": [row, row | {"holds": False}], "environment": environment}))
+    verdict = [{name: HOSTILE for name in LINE}, LINE | {"claim": HOSTILE, "verdict": HOSTILE, "unit": HOSTILE}]
+    claims.write_text(
+        json.dumps({"verdict": verdict, "claims": [row, row | {"holds": False}], "environment": environment})
+    )
     accepted = folder / "acceptance.json"
     rows = [{"name": HOSTILE, "criterion": HOSTILE, "unit": HOSTILE, "holds": False, "value": HOSTILE}]
-    accepted.write_text(json.dumps({"rows": rows, "missing": {HOSTILE: HOSTILE}, "environment": environment}))
+    lines = [{"artefact": HOSTILE, HOSTILE: HOSTILE, "hold": 1, "fail": 0, "missing": 0, "rows": [HOSTILE]}]
+    accepted.write_text(
+        json.dumps({"verdict": lines, "rows": rows, "missing": {HOSTILE: HOSTILE}, "environment": environment})
+    )
     identity = RigIdentity(HOSTILE, HOSTILE, HOSTILE, HOSTILE)
     calibrated = folder / "calibration.h5"
     calibration(identity=identity, run=HOSTILE, figures={"method": HOSTILE, HOSTILE: HOSTILE}).save(calibrated)

@@ -14,6 +14,7 @@ from greenough.pipeline import acquisition, commands
 from greenough.pipeline.calibration import Residuals
 from greenough.pipeline.point_cloud import Mesh, PointCloud, write_cloud, write_mesh
 from greenough.pipeline.reconstruct import PointMap
+from greenough.pipeline.report.page import write_page
 from greenough.pipeline.report.results import page_of
 from greenough.pipeline.report.tables import text_of
 
@@ -63,7 +64,9 @@ def panels(page) -> set[str]:
 
 
 def words(page) -> str:
-    cells = [cell for s in page.sections for table in s.tables for row in table.rows for cell in row.cells]
+    tables = [table for s in page.sections for table in s.tables]
+    tables += [page.lead.table] if page.lead is not None and page.lead.table is not None else []
+    cells = [cell for table in tables for row in table.rows for cell in row.cells]
     return " ".join(f"{cell.text} {cell.small}" for cell in cells)
 
 
@@ -106,6 +109,7 @@ def test_a_calibration_has_the_papers_figures_8_to_10_and_its_planes_and_uncerta
         "calibration-uncertainty", "calibration-uncertainty-z",
     }  # fmt: skip
     assert "bench" in words(page)
+    assert [panel.name for panel in page.lead.figure.panels] == ["calibration-uncertainty"]
     svg = {panel.name: panel.svg for s in page.sections for f in s.figures for panel in f.panels}
     assert ">139 centres in 4 postures<" in svg["spots-per-posture"]
 
@@ -151,6 +155,85 @@ def test_a_demos_folder_has_claims_surfaces_and_calibration(tmp_path, calibratio
     assert [view.name for view in page.surfaces] == ["bga", "coin-deconvolved"]
     assert {"postures", "bga-error", "coin-deconvolved-error"} <= panels(page)
     assert [page.sections[0].title, page.sections[-1].title] == ["Claims", "Made with"]
+
+
+LINE = {
+    "claim": "depth error 95 %", "row": "depth", "specimen": "plane", "calibration": "bundle", "filter": "none",
+    "unit": "um", "paper": 4.0, "measured": 2.345, "uncertainty": 0.04, "truth": None, "limit": 4.0, "bound": "at most",
+    "predicted": 2.3, "verdict": "holds", "unexpected": False, "digits": 3,
+}  # fmt: skip
+
+
+def with_verdict(path: Path, *lines: object) -> Path:
+    path.write_text(json.dumps({"verdict": lines} | json.loads(path.read_text())))
+    return path
+
+
+def lead_words(page) -> list[list[str]]:
+    return [[cell.text for cell in row.cells] for row in page.lead.table.rows]
+
+
+def test_a_table_with_a_verdict_opens_with_it_and_with_a_picture(tmp_path):
+    path = with_verdict(write_claims(tmp_path), LINE, LINE | {"verdict": "fails", "unexpected": True})
+    page = page_of(path, None, for_papers=False)
+    assert lead_words(page) == [
+        ["depth error 95 %", "4", "2.35 ± 0.04", "≤ 4 µm", "holds"],
+        ["depth error 95 %", "4", "2.35 ± 0.04", "≤ 4 µm", "fails"],
+    ]
+    assert [row.marked for row in page.lead.table.rows] == [False, True]
+    assert page.summary.startswith("Paper's claims in 2 lines: 1 hold, 1 fail. 1 rows;")
+    assert [panel.name for panel in page.lead.figure.panels] == ["verdict-limits"]
+
+
+def test_a_demos_folder_opens_with_its_verdict_and_the_relief_of_a_specimen(tmp_path):
+    with_verdict(write_claims(tmp_path), LINE)
+    write_part(tmp_path, "coin")
+    page = page_of(tmp_path, None, for_papers=False)
+    assert lead_words(page)[0][0] == "depth error 95 %"
+    (panel,) = page.lead.figure.panels
+    assert panel.name == "coin-relief"
+    assert "1 mm" in panel.svg
+    assert "z (mm)" in panel.svg
+
+
+def test_files_of_older_versions_have_no_verdict_and_a_page_all_the_same(tmp_path):
+    assert page_of(write_claims(tmp_path), None, for_papers=False).lead is None
+    write_part(tmp_path, "coin")
+    page = page_of(tmp_path, None, for_papers=False)
+    assert page.lead.table is None
+    assert [panel.name for panel in page.lead.figure.panels] == ["coin-relief"]
+
+
+@pytest.mark.parametrize(
+    "lines", [["words"], [{}], [{name: "words" for name in LINE}], [{name: [1e999] for name in LINE}], [None, 3]]
+)
+def test_a_verdict_of_anything_has_a_page(tmp_path, lines):
+    path = with_verdict(write_claims(tmp_path), *lines)
+    write_page(tmp_path / "page.html", page_of(path, None, for_papers=False))
+
+
+@pytest.mark.parametrize("value", [1e-9, -1e9, 0.0, 1e300, 1e-300])
+@pytest.mark.parametrize("bound", ["at most", "at least", "within"])
+def test_a_verdict_of_extreme_figures_has_a_picture(tmp_path, value, bound):
+    line = LINE | {"measured": value, "limit": 1e-9, "bound": bound, "uncertainty": abs(value)}
+    write_page(tmp_path / "page.html", page_of(with_verdict(write_claims(tmp_path), line), None, for_papers=False))
+
+
+def test_rows_are_folded_by_specimen_and_named_in_words(tmp_path):
+    path = write_claims(tmp_path)
+    document = json.loads(path.read_text())
+    (row,) = document["claims"]
+    rows = [row | {"claim": name, "specimen": s} for name in ("p95_filtered", "unheard_of") for s in ("coin", "plane")]
+    rows[-1]["holds"] = False
+    path.write_text(json.dumps(document | {"claims": rows}))
+    (table,) = page_of(path, None, for_papers=False).sections[0].tables
+    assert table.folded == "All 4 rows, by specimen"
+    assert table.groups == {
+        0: "coin: 2 rows, 2 with a limit, all as expected",
+        2: "plane: 2 rows, 2 with a limit, 1 otherwise than expected",
+    }
+    names = [(row.cells[0].text, row.cells[0].small) for row in table.rows]
+    assert names == 2 * [("95 % of the errors, filtered", "p95_filtered"), ("unheard of", "unheard_of")]
 
 
 def test_numbers_are_written_with_true_minus_thin_thousands_and_five_digits():

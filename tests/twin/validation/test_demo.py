@@ -58,6 +58,9 @@ def finished(tmp_path_factory) -> tuple[Path, int]:
     assert ended.returncode in (0, 1), ended.stderr
     printed = json.loads(ended.stdout)
     assert bool(printed["unexpected"]) == (ended.returncode == 1)
+    document = json.loads((folder / "claims.json").read_text())
+    assert [row["claim"] for row in printed["claims"]] == [row["claim"] for row in document["claims"]]
+    assert printed["verdict"] == document["verdict"]
     return folder, ended.returncode
 
 

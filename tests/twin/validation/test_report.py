@@ -76,7 +76,7 @@ def test_page_stands_alone(page):
     text = page()
     assert not re.findall(r"(?:src|href)=\"(?!data:image/svg\+xml,|#)", text)
     pictures = pictures_of(text)
-    assert len(re.findall("<img ", text)) == 4 + 4 + 6  # plane, board and coin
+    assert len(re.findall("<img ", text)) == 1 + 4 + 4 + 6  # beside the verdict, plane, board and coin
     for alt in ("departure from the best plane, filtered", "vertical error", "measured height", "σ z by noise"):
         inside = re.findall(r"href='data:image/png;base64,([^']+)'", pictures[alt])
         assert len(inside) == 2, "the map and its bar"
@@ -90,8 +90,14 @@ def test_page_stands_alone(page):
 def test_figures_for_papers_lie_in_their_folder(page, tmp_path):
     page(pictures=tmp_path / "figures")
     names = {path.name for path in (tmp_path / "figures").iterdir()}
-    assert {"plane-filtered.png", "board-distances.png", "coin-error.png", "coin-sigma-1.png"} <= names
-    assert len(names) == 14
+    assert {
+        "plane-filtered.png",
+        "board-distances.png",
+        "coin-error.png",
+        "coin-sigma-1.png",
+        "coin-relief.png",
+    } <= names
+    assert len(names) == 15
 
 
 def test_only_rows_that_are_not_as_expected_are_marked(page):
@@ -104,12 +110,20 @@ def test_only_rows_that_are_not_as_expected_are_marked(page):
         yield setup.claim("open", "plane", 4.1, "um", 1, "", limit=4.0, predicted=3.9, predicted_sd=0.1)
 
     text = page(claims=lambda setup: list(claims(setup)))
-    marked = re.findall(r'<tr class="unexpected">\s*<td>(\w+)', text)
+    marked = re.findall(r'<tr class="unexpected">\s*<td>\w+ <small>(\w+)</small>', text)
     assert marked == ["broken", "lucky"]
     assert "broken (plane), lucky (plane)" in re.sub(r"\s+", " ", text)
-    assert all(f"<td>{name}</td>" in text for name in ("held", "doomed", "reported", "open"))
+    assert all(f"<small>{name}</small>" in text for name in ("held", "doomed", "reported", "open"))
     assert re.findall(r"<td>either</td>", text) == ["<td>either</td>"]
     assert "± 0.1" in text
+
+
+def test_the_page_opens_with_the_verdict_and_one_picture_and_folds_all_rows(page):
+    text = page()
+    lead, contents, folded = text.index('class="lead pictured"'), text.index("<nav"), text.index("<details>")
+    assert lead < text.index("depth error 95 %") < text.index('alt="coin, measured height"') < contents < folded
+    assert text.count("not measured</td>") > 10  # the rows of this page are not those of the paper's claims
+    assert folded < text.index("All 1 rows, by specimen") < text.index("<small>depth</small>")
 
 
 def test_a_page_without_surprises_says_so(page):
@@ -134,7 +148,7 @@ def test_a_specimen_of_which_nothing_was_measured_is_shown_empty(page):
     nothing = np.full(SHAPE, np.nan)
     empty = maps(xyz=np.full((*SHAPE, 3), np.nan), error_um=nothing, sigma_noise_um=nothing)
     text = page(specimens=[empty, maps("bga", smooth=np.zeros(SHAPE, bool))])
-    assert len(re.findall("<img ", text)) == 4 + 4 + 6 + 6
+    assert len(re.findall("<img ", text)) == 1 + 4 + 4 + 6 + 6
     assert len(re.findall('class="surface"', text)) == 2
 
 

@@ -20,6 +20,7 @@ from ..measured_noise import STEADY
 from ..setup import Setup
 from . import ball_grid, diaphragm, flatness, mapping, noise, resolution, spheres, steps
 from .rows import Row
+from .verdict import ArtefactLine, artefact_lines, plain
 
 CALIBRATION_RUN = "acceptance calibration"
 MEASUREMENT_RUN = "acceptance"
@@ -48,11 +49,14 @@ class Group:
         How often ``rows`` calls ``advance`` with 1.
     rows : callable
         Measures and judges.
+    headline : str
+        The row that stands for all of them in a verdict; the first one where none is named.
     """
 
     names: tuple[str, ...]
     captures: int
     rows: Callable[[Instrument, Advance], Iterator[Row]]
+    headline: str = ""
 
 
 GROUPS: Mapping[str, Group] = {
@@ -61,11 +65,15 @@ GROUPS: Mapping[str, Group] = {
         spheres.SPACING_NAMES,
         len(spheres.SPACING_PLACES),
         lambda its, advance: spheres.spacing_rows(its.as_it_is, advance),
+        "sphere_spacing_largest",
     ),
     "plane": Group(
-        flatness.NAMES, len(flatness.PLACES), lambda its, advance: flatness.flatness_rows(its.as_it_is, advance)
+        flatness.NAMES,
+        len(flatness.PLACES),
+        lambda its, advance: flatness.flatness_rows(its.as_it_is, advance),
+        "flatness_95_largest",
     ),
-    "step gauge": Group(steps.NAMES, 1, lambda its, advance: steps.step_rows(its.as_it_is, advance)),
+    "step gauge": Group(steps.NAMES, 1, lambda its, advance: steps.step_rows(its.as_it_is, advance), "step_largest"),
     "cross grating": Group(mapping.NAMES, 1, lambda its, advance: mapping.mapping_rows(its.as_it_is, advance)),
     "noise": Group(noise.NAMES, noise.PAIRS, lambda its, advance: noise.noise_rows(its.as_it_is, its.steady, advance)),
     "chirp": Group(
@@ -73,7 +81,12 @@ GROUPS: Mapping[str, Group] = {
         len(resolution.TURNED_DEG),
         lambda its, advance: resolution.resolution_rows(its.as_it_is, advance),
     ),
-    "ball grid": Group(ball_grid.NAMES, 1, lambda its, advance: ball_grid.ball_grid_rows(its.as_it_is, advance)),
+    "ball grid": Group(
+        ball_grid.NAMES,
+        1,
+        lambda its, advance: ball_grid.ball_grid_rows(its.as_it_is, advance),
+        "bga_seating_coplanarity",
+    ),
     "diaphragm": Group(
         diaphragm.NAMES, len(diaphragm.STATES), lambda its, advance: diaphragm.diaphragm_rows(its.as_it_is, advance)
     ),
@@ -144,6 +157,15 @@ def judge(instrument: Instrument, advance: Advance) -> JudgedTable[Row]:
     return JudgedTable(tuple(rows), missing)
 
 
+def verdict_lines(table: JudgedTable[Row]) -> list[ArtefactLine]:
+    """The verdict on each artefact."""
+    return artefact_lines(
+        table,
+        {what: group.names for what, group in GROUPS.items()},
+        {what: group.headline for what, group in GROUPS.items() if group.headline},
+    )
+
+
 def _calibrate(rig_name: str, overrides: Sequence[str], out: Path, advance: Advance) -> Calibration:
     file = out.with_name(f"{out.stem}-calibration.h5")
     done = Unfinished.beside(file).exposures
@@ -154,7 +176,8 @@ def _calibrate(rig_name: str, overrides: Sequence[str], out: Path, advance: Adva
 
 def _write(out: Path, table: JudgedTable[Row], facts: Mapping[str, Any]) -> None:
     rows = [{name: _or_none(value) for name, value in asdict(row).items()} for row in table.rows]
-    document = {"rows": rows, "missing": dict(table.missing), "environment": environment() | dict(facts)}
+    document: dict[str, Any] = {"verdict": plain(verdict_lines(table))}
+    document |= {"rows": rows, "missing": dict(table.missing), "environment": environment() | dict(facts)}
     with atomic_path(out) as temporary:
         temporary.write_text(json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False), encoding="utf-8")
 

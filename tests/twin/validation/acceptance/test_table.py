@@ -108,7 +108,7 @@ def test_the_command_ends_with_0_if_every_row_holds_and_writes_what_it_prints(co
 def test_the_command_writes_a_page_of_the_table_where_asked(command, tmp_path):
     command(ball=group(0.5, 1.5))
     page = (tmp_path / "table.html").read_text(encoding="utf-8")
-    assert page.count('<tr class="unexpected">') == 1
+    assert page.count('<tr class="unexpected">') == 2  # the artefact's line of the verdict, and the row
     assert "2 rows; 1 do not hold" in page
 
 

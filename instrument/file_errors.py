@@ -98,7 +98,7 @@ def reading(path: str | Path) -> Iterator[None]:
     except Exception as error:
         if not (isinstance(error, OSError) and error.errno is not None):
             raise
-        named = error.filename if isinstance(error.filename, str | os.PathLike) else path
+        named = error.filename if isinstance(error.filename, str) else path
         raise cannot_read(named, error) from None
 
 
@@ -131,7 +131,7 @@ def _cause(path: Path, number: int | None, for_missing: str) -> tuple[str, str]:
         if missing.exists():
             return f"{missing} is a file and not a folder", _ELSEWHERE
         return f"there is no folder {missing}", for_missing
-    cause, remedy = _CAUSES.get(number, (os.strerror(number or 0).lower(), _ELSEWHERE))
+    cause, remedy = _CAUSES.get(number or 0, (os.strerror(number or 0).lower(), _ELSEWHERE))
     return cause, remedy
 
 

@@ -141,7 +141,7 @@ def measure(
     ):
         brackets = opened.procedure.brackets if bracket else (1.0,)
         points = acquisition.measure(opened, loaded, placement, brackets, filter_fwhm_px, deconvolve)
-        taken = acquisition.possible_brackets(opened, brackets)  # of the exposure that the part was given
+        taken = acquisition.possible_brackets(opened, brackets) if bracket else brackets
         advance(1)
     filtered = f"plane under a gaussian on phasors, fwhm {filter_fwhm_px or 0:g} px"
     facts = {

@@ -199,7 +199,7 @@ def test_an_unknown_rig_lists_the_builtin_names(tmp_path: Path) -> None:
     (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(InputError, match="UTF-8"):
         load_rig_file(tmp_path / "binary.toml")
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="it is a folder"):
         load_rig_file(tmp_path)
 
 

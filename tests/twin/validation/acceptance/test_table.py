@@ -87,7 +87,7 @@ def command(monkeypatch, tmp_path, capsys):
         monkeypatch.setattr(table, "GROUPS", groups)
         calibration = SimpleNamespace(method="bundle", check_fits=lambda identity, shape: None)
         monkeypatch.setattr(table.Calibration, "load", lambda path: calibration)
-        out = tmp_path / "new" / "table.json"
+        out = tmp_path / "table.json"
         settings = [word for setting in SMALL for word in ("--set", setting)]
         arguments = ["accept", "twin", "--calibration", "any.h5", "--out", str(out), "--json", *settings]
         arguments += ["--report", str(tmp_path / "table.html")]

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from importlib.metadata import EntryPoint, entry_points
 from types import FrameType
-from typing import Annotated, NoReturn, TextIO
+from typing import Annotated, Any, NoReturn, TextIO, cast
 
 import typer
 
@@ -40,20 +40,24 @@ def run(arguments: Sequence[str], sources: Iterable[EntryPoint]) -> int:
     is that of SIGPIPE. Any other exception is a programming error and passes through.
     """
     output = sys.stdout
+    watched = _Watched(output)
+    sys.stdout = cast(TextIO, watched if output is not None else None)
     try:
         code = _exit_code(arguments, sources)
-        refusal = _refusal_of(output)
+        refusal = watched.refusal or _refusal_of(output)
     except InputError as error:
         return _tell(str(error), 2)
     except KeyboardInterrupt:
         return _tell("interrupted; nothing half-written is left.", INTERRUPTED)
     except OSError as error:
-        refusal = _refusal_of(output)
+        refusal = watched.refusal or _refusal_of(output)
         if refusal is None:
             sentence = cannot_use(error)
             if sentence is None:
                 raise
             return _tell(str(sentence), 2)
+    finally:
+        sys.stdout = output
     if refusal is None:
         return code
     _silence(output)
@@ -61,6 +65,34 @@ def run(arguments: Sequence[str], sources: Iterable[EntryPoint]) -> int:
         return UNREAD
     cause = os.strerror(refusal.errno or 0).lower()
     return _tell(f"cannot write to standard output: {cause}; remove the cause, or send it elsewhere", 2)
+
+
+class _Watched:
+    """A stream that remembers why it could not be written to.
+
+    Where standard output has no buffer, as with PYTHONUNBUFFERED, the error comes while a verb prints, and does not say
+    of itself that it is about standard output.
+    """
+
+    def __init__(self, stream: TextIO | None):
+        self._stream = stream
+        self.refusal: OSError | None = None
+
+    def write(self, text: str) -> int:
+        return self._watch("write", text)
+
+    def flush(self) -> None:
+        self._watch("flush")
+
+    def _watch(self, name: str, *arguments: str) -> Any:
+        try:
+            return getattr(self._stream, name)(*arguments)
+        except OSError as error:
+            self.refusal = error
+            raise
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
 
 
 def _exit_code(arguments: Sequence[str], sources: Iterable[EntryPoint]) -> int:

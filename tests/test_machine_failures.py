@@ -283,23 +283,26 @@ def test_what_cannot_be_read_is_told(name, kind, inputs, told, tmp_path):
     assert {path.name for path in tmp_path.iterdir()} <= {f"bad{suffix}"}
 
 
+@pytest.mark.parametrize("unbuffered", ["", "1"])
 @pytest.mark.parametrize("line", [["--help"], ["replay", "{recording}"], ["replay", "{recording}", "--json"]])
-def test_standard_output_that_is_full_is_told(line, inputs):
+def test_standard_output_that_is_full_is_told(line, unbuffered, inputs):
+    words = [GREENOUGH, *(word.format_map(inputs) for word in line)]
+    environment = os.environ | {"PYTHONUNBUFFERED": unbuffered}
     with open("/dev/full", "w") as full:
-        done = subprocess.run(
-            [GREENOUGH, *(word.format_map(inputs) for word in line)], stdout=full, stderr=subprocess.PIPE, text=True
-        )
+        done = subprocess.run(words, stdout=full, stderr=subprocess.PIPE, text=True, env=environment)
     assert done.returncode == 2
     assert done.stderr == (
         "greenough: cannot write to standard output: no space left on device; remove the cause, or send it elsewhere\n"
     )
 
 
+@pytest.mark.parametrize("unbuffered", ["", "1"])
 @pytest.mark.parametrize("line", [["--help"], ["replay", "{recording}"], ["replay", "{recording}", "--json"]])
-def test_a_reader_that_has_seen_enough_ends_it_without_a_word(line, inputs):
+def test_a_reader_that_has_seen_enough_ends_it_without_a_word(line, unbuffered, inputs):
     reading, writing = os.pipe()
     os.close(reading)
     words = [GREENOUGH, *(word.format_map(inputs) for word in line)]
-    done = subprocess.run(words, stdout=writing, stderr=subprocess.PIPE, text=True)
+    environment = os.environ | {"PYTHONUNBUFFERED": unbuffered}
+    done = subprocess.run(words, stdout=writing, stderr=subprocess.PIPE, text=True, env=environment)
     os.close(writing)
     assert (done.returncode, done.stderr) == (141, "")

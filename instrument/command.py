@@ -41,7 +41,8 @@ def run(arguments: Sequence[str], sources: Iterable[EntryPoint]) -> int:
     """
     output = sys.stdout
     watched = _Watched(output)
-    sys.stdout = cast(TextIO, watched if output is not None else None)
+    if output is not None:
+        sys.stdout = cast(TextIO, watched)
     try:
         code = _exit_code(arguments, sources)
         refusal = watched.refusal or _refusal_of(output)
@@ -57,7 +58,7 @@ def run(arguments: Sequence[str], sources: Iterable[EntryPoint]) -> int:
                 raise
             return _tell(str(sentence), 2)
     finally:
-        sys.stdout = output
+        sys.stdout = cast(TextIO, output)
     if refusal is None:
         return code
     _silence(output)

@@ -59,7 +59,7 @@ def run(arguments: Sequence[str], sources: Iterable[EntryPoint]) -> int:
             return _tell(str(sentence), 2)
     finally:
         sys.stdout = cast(TextIO, output)
-    if refusal is None:
+    if refusal is None or output is None:
         return code
     _silence(output)
     if refusal.errno == errno.EPIPE:

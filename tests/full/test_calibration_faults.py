@@ -10,7 +10,7 @@ from faulty_calibration import DEVIATION_LIMIT, ERROR_LIMIT_UM
 from process_faults import PROCESS_KINDS, broken_claims_of_process, run_process
 from wire_faults import KINDS, broken_claims, run
 
-pytestmark = [pytest.mark.full, pytest.mark.timeout(1200)]
+pytestmark = pytest.mark.full
 SEEDS, PROCESS_SEEDS = 6, 4
 
 

@@ -2,16 +2,16 @@
 
 from dataclasses import dataclass, field
 
-from faulty_calibration import Ended, Outcome
+from faulty_calibration import HEARTBEAT_S, Ended, Outcome
 from plain_scene import largest_error_um
-from process_faults import Aftermath
+from process_faults import PROCESS_KINDS, SOON_S, Aftermath
 
 
 @dataclass
 class _Row:
     """What came of the runs with one fault."""
 
-    bound_s: float | None
+    bound_s: float
     runs: int = 0
     finished: int = 0
     errors: dict[str, int] = field(default_factory=dict)
@@ -24,8 +24,7 @@ class _Row:
 
     def cells(self) -> list[str]:
         errors = ", ".join(f"{count} {name}" for name, count in sorted(self.errors.items()))
-        stated = "" if self.bound_s is None else f" of {self.bound_s:.0f}"
-        in_time = f"{self.latest_s:.1f}{stated}" if self.errors else ""
+        in_time = f"{self.latest_s:.1f} of {self.bound_s:.0f}" if self.errors else ""
         kept = f"{min(self.kept)} to {max(self.kept)}" if self.kept else ""
         figures = [f"{self.error_um:.1f}", f"{self.deviation:.1f}"]
         return [
@@ -79,7 +78,7 @@ class FaultTable:
 
     def add_process(self, name: str, ended: Ended, after: Aftermath) -> None:
         """One run whose process was ended."""
-        row = self._rows.setdefault(name, _Row(None))
+        row = self._rows.setdefault(name, _Row(SOON_S + HEARTBEAT_S * PROCESS_KINDS[name].whole_group))
         row.runs += 1
         row.left_lit += after.lit
         row.latest_s = max(row.latest_s, ended.camera_held_s)

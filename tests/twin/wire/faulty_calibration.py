@@ -13,7 +13,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -23,14 +23,13 @@ import numpy as np
 from emulated_gige import free_address
 from plain_scene import SETTINGS, STEPS, PlainScene, largest_error_um
 
-from greenough.instrument import hardware_rig, open_rig
+from greenough.instrument import open_rig
 from greenough.instrument.contract import Placement, Rig
 from greenough.instrument.device_errors import DeviceError
 from greenough.instrument.errors import InputError
-from greenough.instrument.hardware_settings import HardwareSettings, hardware_settings
 from greenough.instrument.lightcrafter_commands import Command
 from greenough.instrument.lightcrafter_packets import Packet
-from greenough.instrument.rigfile import RigFile, load_rig_file
+from greenough.instrument.rigfile import load_rig_file
 from greenough.pipeline import acquisition
 from greenough.pipeline.calibration import Calibration
 from greenough.pipeline.unfinished import Unfinished
@@ -49,10 +48,7 @@ TIMEOUTS_S = {
     "genicam.frame_timeout_s": 2.0,
     "operator.wait_s": 2.0,
 }
-"""For a device that says nothing, for as long as anybody waits."""
-
-PATIENT_S = 60.0
-"""For everything else: however busy the machine is."""
+"""As short as a busy machine allows. "30 s silence" is a device that says nothing for as long as anybody waits."""
 
 ERROR_LIMIT_UM = 9.0
 """Of a height by a calibration without fault: the noise of the 94 000 pixels' own fits, of standard deviation 1.3
@@ -70,6 +66,7 @@ _POSTURES, _PLANES = 6, 8
 _STEPS_IN_ALL = _POSTURES + 1 + _PLANES
 _MOST_FOR_AUTO_EXPOSURE = 12
 _FELT_BY = {"projector": ("request", "upload"), "stage": ("message", "move"), "operator": ("place",)}  # others at once
+_PATIENT_S = 120.0
 _POLL_S = 0.02
 
 
@@ -86,6 +83,8 @@ class Call:
         Whether every fault that was ordered has struck.
     after_s : float
         From the first time that the faulty device was spoken to since to the error, or to the end.
+    closing_s : float
+        From there until the rig had been left.
     safe_when_told : bool
         Whether the projector was dark and the stage at rest when the error came, or the end.
     lit, moves : bool
@@ -108,6 +107,7 @@ class Call:
     calibration: Calibration | None
     struck: bool
     after_s: float
+    closing_s: float
     safe_when_told: bool
     lit: bool
     moves: bool
@@ -138,10 +138,11 @@ class _Blow:
 
 @dataclass(frozen=True)
 class Ended:
-    """How a process ended: its exit code, what it said, and how long its control of the camera outlived it."""
+    """How a process ended: its exit code, what it said, and how long the camera's process and control outlived it."""
 
     code: int
     said: str
+    camera_process_s: float
     camera_held_s: float
 
 
@@ -167,12 +168,11 @@ class Bench:
         """Set to let a placement go on that a fault keeps waiting."""
         self._settings = [
             *SETTINGS,
-            *(f"{name}={PATIENT_S}" for name in TIMEOUTS_S),
+            *(f"{name}={value}" for name, value in TIMEOUTS_S.items()),
             f'genicam.address="{free_address()}"',
         ]
         self._due: dict[tuple[str, int], Callable[[], None]] = {}
         self._blow = _Blow("")
-        self._hasty: tuple[str, ...] = ()
         self._lock = threading.Lock()
         self._lit_after_connecting, self._first_message = False, 0
 
@@ -205,10 +205,6 @@ class Bench:
         self._blow = _Blow(device)
         self._due[event, self.events[event] + number] = strike
 
-    def hasten(self, *sections: str) -> None:
-        """Have the next call wait for the devices of these sections no longer than `TIMEOUTS_S`."""
-        self._hasty = sections
-
     def reopen_stage_port(self) -> None:
         """Plug in again what was pulled out."""
         server = self.rig.stage_server
@@ -231,7 +227,6 @@ class Bench:
         try:
             with (
                 interrupts_heard(),
-                mock.patch.object(hardware_rig, "hardware_settings", self._hastened),
                 open_rig("wire", self.overrides, _RUN, Unfinished.beside(self.out).exposures) as rig,
                 mock.patch.object(acquisition, "estimate_point_spread", _no_point_spread),
             ):
@@ -245,16 +240,17 @@ class Bench:
                     safe_when_told = not (self.rig.projector.lit or self.rig.stage.moves)
         except (Exception, KeyboardInterrupt) as raised:
             error = raised
-        ended_s = ended_s or time.monotonic()
+        closed_s = time.monotonic()
+        ended_s = ended_s or closed_s
         struck = self._blow.struck and not self._due
         felt_s, self._blow = self._blow.felt_s, _Blow("")
         self._due.clear()
-        self._hasty = ()
         return Call(
             error=error,
             calibration=calibration,
             struck=struck,
             after_s=ended_s - (felt_s or ended_s),
+            closing_s=closed_s - ended_s,
             safe_when_told=safe_when_told,
             lit=self.rig.projector.lit,
             moves=self.rig.stage.moves,
@@ -287,22 +283,15 @@ class Bench:
         ):
             self.at("any", number, "process", strike)
             try:
-                _, said = process.communicate()
-            except BaseException:  # such as the time-out of the test
+                _, said = process.communicate(timeout=_PATIENT_S)
+            except subprocess.TimeoutExpired:
                 os.killpg(process.pid, signal.SIGKILL)
                 raise
+        began = time.monotonic()
         outlived_s = wait_until(lambda: not any(map(_is_alive, children)))
         held_s = wait_until(lambda: not self.rig.camera.is_controlled) + outlived_s
-        return Ended(process.returncode, said, held_s)
-
-    def _hastened(self, rig_file: RigFile) -> HardwareSettings:
-        """Settings with short time-outs where asked for, which in a rig file would make another calibration."""
-        settings = hardware_settings(rig_file)
-        for section in self._hasty:
-            short = {name.partition(".")[2]: s for name, s in TIMEOUTS_S.items() if name.startswith(f"{section}.")}
-            field = "camera" if section == "genicam" else section
-            settings = replace(settings, **{field: getattr(settings, field).model_copy(update=short)})
-        return settings
+        assert time.monotonic() - began < _PATIENT_S, "the camera's process did not end, or the camera stayed taken"
+        return Ended(process.returncode, said, outlived_s, held_s)
 
     def _check_frames(self, rig: Rig, worst: list[float]) -> None:
         """Have all frames that the rig hands out compared with what they should be."""
@@ -382,11 +371,11 @@ def missing_exposures(kept: tuple[str, ...]) -> tuple[int, int]:
 
 
 def wait_until(holds: Callable[[], bool]) -> float:
-    """How long it took until ``holds``: 0 where it does. What never holds is ended by the time-out of the test."""
+    """How long it took until ``holds``: 0 where it does, and at most a minute."""
     if holds():
         return 0.0
     began = time.monotonic()
-    while not holds():
+    while not holds() and time.monotonic() - began < _PATIENT_S / 2:
         time.sleep(_POLL_S)
     return time.monotonic() - began
 

@@ -21,13 +21,12 @@ from faulty_calibration import (
 )
 
 from greenough.instrument.aravis import REPLY_TIMEOUT_S
-from greenough.instrument.device_errors import TimedOut
 from greenough.twin.wire.gige_stream import FrameFault
 from greenough.twin.wire.lightcrafter import Fault, at_request
 from greenough.twin.wire.line_faults import doubled, preceded_by, truncated, wrong_checksum
 
 PROJECTOR_S = TIMEOUTS_S["lightcrafter.busy_s"] + 4 * TIMEOUTS_S["lightcrafter.timeout_s"]
-"""How long an error of the projector may take, by its driver, on a machine that has nothing else to do."""
+"""How long an error of the projector may take, by its driver."""
 
 STAGE_S = 4 * TIMEOUTS_S["zaber.reply_timeout_s"] + 3 * TIMEOUTS_S["zaber.settle_timeout_s"]
 """Of the stage: an answer and three more for stopping, and the rest of a motion, which is short, each time."""
@@ -36,6 +35,12 @@ CAMERA_S = max(TIMEOUTS_S["genicam.frame_timeout_s"], REPLY_TIMEOUT_S) + REPLY_T
 """Of the camera: a frame, or an answer, and then to let go of its stream."""
 
 OPERATOR_S = TIMEOUTS_S["operator.wait_s"]
+
+LEAVING_S = CAMERA_S + STAGE_S + PROJECTOR_S
+"""How long the rig may take to be left: each device may be silent."""
+
+BUSY_MACHINE_S = 5.0
+"""More than any stated time, where the machine has other things to do."""
 
 EVENTS = {
     "request": 1600,
@@ -71,8 +76,7 @@ class Kind:
     strike : callable
         Of the bench and a source of chance.
     bound_s : float
-        How long the error may take. It is compared with what an error says of the time that was waited; on a busy
-        machine the error itself comes later.
+        How long the error may take.
     harmless : bool
         Whether the calibration must go on to its end.
     must_end : bool
@@ -81,8 +85,6 @@ class Kind:
         What a person does about it; then comes the second call.
     homes : bool
         Whether a person homes the stage then.
-    waits : bool
-        Whether the error comes when a time-out has passed; only then time-outs are short.
     hears, obeys : bool
         Whether the projector can be told to be dark, and the stage to stop.
     """
@@ -95,7 +97,6 @@ class Kind:
     must_end: bool = True
     mend: Callable[[Bench], None] = lambda bench: None
     homes: bool = False
-    waits: bool = False
     hears: bool = True
     obeys: bool = True
 
@@ -104,14 +105,6 @@ class Kind:
         """Of the device in the rig; empty for several."""
         first_word = self.device.partition(" ")[0]
         return {"Zaber": "stage"}.get(first_word, first_word)
-
-    @property
-    def sections(self) -> tuple[str, ...]:
-        """Of the rig file, whose time-outs are waited for."""
-        of = {"projector": "lightcrafter", "stage": "zaber", "camera": "genicam", "operator": "operator"}
-        if not self.waits:
-            return ()
-        return (of[self.role],) if self.role else tuple(of.values())
 
 
 def _projector(fault: Fault, count: int = 1, events: tuple[str, ...] = ("request",), **more) -> Kind:
@@ -181,19 +174,19 @@ KINDS: dict[str, Kind] = {
     "projector: TCP reset in mid-upload": _projector(Fault.RESET, events=("upload",)),
     "projector: TCP reset": _projector(Fault.RESET),
     "projector: busy for a while": _projector(Fault.BUSY, 5, harmless=True, must_end=False),
-    "projector: busy for too long": _projector(Fault.BUSY, 30, waits=True),
+    "projector: busy for too long": _projector(Fault.BUSY, 30),
     "projector: failure reported": _projector(Fault.FAILED, must_end=False),  # to stop, at connecting: it was dark
-    "projector: reply lost": _projector(Fault.SILENCE, waits=True),
+    "projector: reply lost": _projector(Fault.SILENCE),
     "projector: wrong checksum": _projector(Fault.WRONG_CHECKSUM),
-    "projector: truncated reply": _projector(Fault.TRUNCATED, waits=True),
+    "projector: truncated reply": _projector(Fault.TRUNCATED),
     "projector: unsolicited reply": _projector(Fault.TWICE),
-    "projector: silent": _projector(Fault.SILENCE, _ENDLESS, waits=True, hears=False),
+    "projector: silent": _projector(Fault.SILENCE, _ENDLESS, hears=False),
     "stage: wrong checksum": _spoiled(wrong_checksum),
     "stage: truncated line": _spoiled(truncated),
     "stage: unsolicited lines": _spoiled(preceded_by(*STRANGERS), harmless=True, must_end=False),
     "stage: line twice": _spoiled(doubled, harmless=True, must_end=False),
-    "stage: line late": _stage(lambda bench, chance: bench.rig.stage.delay(), waits=True),
-    "stage: line lost": _spoiled(lambda line: [], waits=True),
+    "stage: line late": _stage(lambda bench, chance: bench.rig.stage.delay()),
+    "stage: line lost": _spoiled(lambda line: []),
     "stage: stall (FS)": _stage(lambda bench, chance: bench.rig.stage.stall(), ("move",), homes=True),
     "stage: emergency stop (FH)": _stage(
         lambda bench, chance: bench.rig.stage.press_emergency_stop(),
@@ -211,14 +204,14 @@ KINDS: dict[str, Kind] = {
         obeys=False,  # it ends the motion that it was told, of some tenths of a second
     ),
     "stage: silent": _stage(
-        lambda bench, chance: bench.rig.stage.fall_silent(), mend=lambda bench: bench.rig.stage.speak(), waits=True
+        lambda bench, chance: bench.rig.stage.fall_silent(), mend=lambda bench: bench.rig.stage.speak()
     ),
     "camera: frame late": _frame(
         lambda chance: FrameFault("late", delay_s=chance.uniform(0.05, 0.5)), harmless=True, must_end=False
     ),
     # The camera exposes nothing else meanwhile: later than this, the next call's first frame would be too late as well.
-    "camera: frame too late": _frame(lambda chance: FrameFault("late", delay_s=chance.uniform(3.0, 3.5)), waits=True),
-    "camera: frame lost": _frame(lambda chance: FrameFault("lost"), waits=True),
+    "camera: frame too late": _frame(lambda chance: FrameFault("late", delay_s=chance.uniform(2.2, 3.5))),
+    "camera: frame lost": _frame(lambda chance: FrameFault("lost")),
     "camera: frame twice": _frame(lambda chance: FrameFault("sent_twice"), must_end=False),
     "camera: frame nobody asked for": _frame(lambda chance: FrameFault("untriggered"), must_end=False),
     "camera: number skipped": _frame(lambda chance: FrameFault("number_skipped"), must_end=False),
@@ -226,7 +219,7 @@ KINDS: dict[str, Kind] = {
         lambda chance: FrameFault("packets_lost", share=chance.uniform(0, 0.5)), harmless=True, must_end=False
     ),
     "camera: packets lost for good": _frame(
-        lambda chance: FrameFault("packets_lost", share=chance.uniform(0, 0.5), for_good=True), waits=True
+        lambda chance: FrameFault("packets_lost", share=chance.uniform(0, 0.5), for_good=True)
     ),
     "camera: silent": Kind(
         "camera at 127.",
@@ -234,7 +227,6 @@ KINDS: dict[str, Kind] = {
         lambda bench, chance: setattr(bench.rig.camera, "silent", True),
         CAMERA_S,
         mend=_speak_camera,
-        waits=True,
     ),
     "camera: its process killed": Kind(
         "camera at 127.",
@@ -250,7 +242,6 @@ KINDS: dict[str, Kind] = {
         _keep_operator_waiting,
         OPERATOR_S,
         mend=lambda bench: bench.release_operator.set(),
-        waits=True,
     ),
     "all devices: silent": Kind(
         "",
@@ -258,7 +249,6 @@ KINDS: dict[str, Kind] = {
         _silence_everything,
         PROJECTOR_S + STAGE_S + CAMERA_S,
         mend=_speak_everything,
-        waits=True,
         hears=False,
     ),
     "interrupt: Ctrl-C": Kind("interrupt", ("request", "message", "trigger", "place"), _interrupt, STAGE_S),
@@ -281,7 +271,6 @@ def order(bench: Bench, kind: Kind, chance: Random, share: float = 1.0) -> None:
     """Have the next call struck at a random one of its events, in the first ``share`` of it."""
     event = chance.choice(kind.events)
     number = chance.randint(1, max(1, round(share * EVENTS[event])))
-    bench.hasten(*kind.sections)
     bench.at(event, number, kind.role, lambda: kind.strike(bench, chance))
 
 
@@ -314,8 +303,8 @@ def broken_by_call(kind: Kind, call: Call) -> list[str]:
         "the fault strikes": call.struck,
         "every frame that is handed out is right": call.worst_deviation < DEVIATION_LIMIT,
         "the error is typed and names device, command and remedy": told or not ended,
-        "no more is waited for than is stated": not isinstance(call.error, TimedOut)
-        or call.error.timeout_s <= kind.bound_s,
+        "the error comes in time": not ended or call.after_s < kind.bound_s + BUSY_MACHINE_S,
+        "leaving ends in time": call.closing_s < LEAVING_S + BUSY_MACHINE_S,
         "all is safe when the error comes": call.safe_when_told or not (kind.hears and kind.obeys),
         "the projector is dark": not call.lit or not kind.hears,
         "the stage is at rest": not call.moves,

@@ -2,11 +2,13 @@ import pytest
 
 from greenough.instrument.backend import VARIABLE, VARIANTS, backend
 from greenough.instrument.errors import InputError
+from greenough.instrument.libatomic import ensure_libatomic
 from greenough.instrument.llvm import ensure_llvm
 
+ensure_libatomic()
 ensure_llvm()
 
-import drjit as dr  # noqa: E402  Dr.Jit loads libLLVM while it is imported: ensure_llvm must come first
+import drjit as dr  # noqa: E402  Dr.Jit loads both libraries while it is imported
 
 
 @pytest.mark.parametrize("variant", VARIANTS)

@@ -32,6 +32,7 @@ def array(setup, measured, grid, by_name):
     return made
 
 
+@pytest.mark.slow
 def test_an_array_that_is_measured_as_it_is_holds(array):
     found = array()
     assert set(found) == set(ball_grid.NAMES)
@@ -40,6 +41,7 @@ def test_an_array_that_is_measured_as_it_is_holds(array):
     assert "1 are low" in found["bga_low"].criterion
 
 
+@pytest.mark.slow
 def test_a_ball_that_is_not_seen_and_a_low_one_that_seems_as_high_as_the_others_are_called_wrongly(array):
     found = array(gone=[(5, 5)], higher={(4, 6): 0.08})
     for name in ("bga_missing", "bga_low"):

@@ -44,6 +44,7 @@ def results(folder: Path) -> dict[str, dict]:
     return {name: {key: value for key, value in each.items() if key != "seconds"} for name, each in found.items()}
 
 
+@pytest.mark.slow
 def test_the_cluster_finds_what_one_machine_finds_bit_for_bit(cluster, study_file, tmp_path, capsys):
     path = study_file("equal", seeds="6")
     codes = [
@@ -65,6 +66,7 @@ def test_a_worker_does_one_run_at_a_time_on_its_own_number_of_threads(cluster, s
         assert all(first[1] <= second[0] for first, second in pairwise(own))
 
 
+@pytest.mark.slow
 def test_a_worker_that_dies_takes_no_finished_run_with_it(cluster, study_file, visits, tmp_path):
     study = load_study(study_file("killed-worker", seeds="15"))
     runs = runs_of(study)
@@ -91,6 +93,7 @@ def test_a_worker_that_dies_takes_no_finished_run_with_it(cluster, study_file, v
     assert all(pids[0] == victim != pids[1] and len(pids) == 2 for pids in again)
 
 
+@pytest.mark.slow
 def test_a_run_that_kills_its_workers_is_named_and_done_the_next_time(cluster, study_file, laboratory, tmp_path):
     study = load_study(study_file("deadly", seeds="[5, 6]"))
     runs = runs_of(study)

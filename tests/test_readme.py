@@ -134,6 +134,7 @@ def test_examples_run_in_the_order_of_the_page_and_the_commands_with_them(folder
     assert runner.tries == len(examples.examples) > 25
 
 
+@pytest.mark.slow
 def test_devices_behind_wires_are_checked_calibrated_and_measured_with(folder, monkeypatch, capsys):
     need_aravis()
     monkeypatch.chdir(folder)

@@ -5,6 +5,7 @@ import numpy as np
 from greenough.pipeline.paper_method import fit_planes, fitted_errors
 
 
+@pytest.mark.slow
 def test_errors_of_the_stage_come_out_as_predicted():
     """Step over 2.5 mm and height at its upper end, from 300 stages of 10 µm: a spread is known to 16 % (4 sd)."""
     readings = (np.arange(30) - 14.5) * 0.1

@@ -17,6 +17,7 @@ COARSE = (
 )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_coin_from_images_is_the_coin_that_the_rig_measures(tmp_path: Path):
     """Other exposures, set by hand, and noise that nobody stated: both differ by what both state, not more or less."""
     with open_rig("twin", COARSE, run="theirs") as rig:

@@ -1,6 +1,7 @@
 """What the stage's errors do to the paper's heights: the prediction against fits to planes that err."""
 
 import numpy as np
+import pytest
 
 from greenough.pipeline.paper_method import fit_planes, fitted_errors
 

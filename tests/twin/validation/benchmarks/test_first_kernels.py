@@ -1,3 +1,5 @@
+import pytest
+
 from greenough.twin.validation.benchmarks.first_kernels import first_uses
 
 COARSE = ("camera.rows=48", "camera.cols=64")
